@@ -12,6 +12,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
+Words = NDArray[np.int16]
+Floats32 = NDArray[np.float32]
+Complexes = NDArray[np.complex64]
 
 AnyPath = str | os.PathLike[str]
 

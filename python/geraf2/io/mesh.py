@@ -24,13 +24,7 @@ from geraf2.io.objects import is_remote, local_copy
 from geraf2.io.points import ply_file
 from geraf2.io.regular import BINARY_BYTES, RECORD_BYTES, read_regular, require_regular
 from geraf2.io.text import parse_json
-from geraf2.io.trimesh_formats import (
-    FRAME_FROM_GLTF,
-    glb_bytes,
-    parse_gltf,
-    parse_stl,
-    stl_bytes,
-)
+from geraf2.io.trimesh_formats import FRAME_FROM_GLTF, glb_bytes, parse_gltf, parse_stl, stl_bytes
 
 READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 """Mesh formats that `read_mesh` accepts."""

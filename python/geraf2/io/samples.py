@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Complexes, Words
 from geraf2.records import Pose, RawPose, Samples
 
 NO_SAMPLE = np.int16(-0x8000)
 
 
-def complex_samples(samples: Samples) -> NDArray[np.complex64]:
+def complex_samples(samples: Samples) -> Complexes:
     """Complex numbers, (...,) of int16 (..., 2), NO_SAMPLE too; complex ones stay as they are."""
     if np.iscomplexobj(samples):
         return np.asarray(samples, dtype=np.complex64)
@@ -39,7 +40,7 @@ def conjugate_samples(samples: Samples) -> Samples:
     return turned
 
 
-def stored_integers(samples: Samples) -> NDArray[np.int16]:
+def stored_integers(samples: Samples) -> Words:
     """Integers of which none is NO_SAMPLE; a copy only where one was."""
     if samples.dtype != np.int16:
         msg = f"samples must be int16, got {samples.dtype}"

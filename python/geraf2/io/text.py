@@ -77,12 +77,7 @@ def csv_text(head: Sequence[Any], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def interval_text(
-    value: float,
-    half: float | None,
-    *,
-    digits: int = 1,
-    scale: float | None = None,
-    unit: str = "",
+    value: float, half: float | None, *, digits: int = 1, scale: float | None = None, unit: str = ""
 ) -> str:
     """Value ± half of its interval, with its unit; "not determined" if that is larger.
 

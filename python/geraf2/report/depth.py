@@ -2,10 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from geraf2._types import AnyPath, Floats
+from geraf2._types import AnyPath, Floats, Floats32
 from geraf2.report import canvas
 from geraf2.report.canvas import AXIS_NAMES, GLINT_COLOUR
 from geraf2.scene import Grid
@@ -15,12 +12,7 @@ if TYPE_CHECKING:
 
 
 def sharpest_slice(
-    values: NDArray[np.float32],
-    grid: Grid,
-    axis: int,
-    depths_m: Floats,
-    sharpness: Floats,
-    path: AnyPath,
+    values: Floats32, grid: Grid, axis: int, depths_m: Floats, sharpness: Floats, path: AnyPath
 ) -> None:
     """Draw the slice at the sharpest depth, and the sharpness over depth.
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import AnyPath, Floats
+from geraf2._types import AnyPath, Bytes, Floats
 from geraf2.report import canvas
 
 
@@ -15,7 +15,7 @@ class SurfaceView(NamedTuple):
 
     name: str
     """Name of the photo."""
-    photo: NDArray[np.uint8]
+    photo: Bytes
     """(height, width, 3)."""
     colour: NDArray[np.floating]
     """Rendered, sRGB 0 to 1, (height, width, 3)."""

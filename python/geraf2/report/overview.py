@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geraf2._types import AnyPath, Bools, Floats
+from geraf2._types import AnyPath, Bools, Floats, Floats32
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.freespace.specular import seen_share
@@ -148,7 +147,7 @@ def _heat_map_grid(summary: CaptureSummary, focus: Floats, box: TriangleMesh | N
 
 def _draw_geometry(
     panel: "Axes",
-    heat: tuple[NDArray[np.float32], Grid],
+    heat: tuple[Floats32, Grid],
     gathered: _Gathered,
     box: TriangleMesh | None,
     axes: tuple[int, int, int],

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Floats, Floats32, Ints
 from geraf2._validation import require_between, require_least, require_positive, require_shape
 from geraf2.geometry.triangles import barycentric, unit_normals, vertex_normals
 from geraf2.io.mesh import TriangleMesh
@@ -73,7 +73,7 @@ class MeshPainter:
         """Share of the sky that each vertex sees within half the mesh's size, (n_vertices,)."""
         self._traced: dict[View, tuple[Ints, Floats, Ints]] = {}
 
-    def render(self, view: View, colours: NDArray[np.floating]) -> NDArray[np.float32]:
+    def render(self, view: View, colours: NDArray[np.floating]) -> Floats32:
         """Picture of the mesh, sRGB with coverage as alpha, (n_pixels, n_pixels, 4), 0 to 1.
 
         view: camera.

@@ -14,10 +14,9 @@ from tempfile import TemporaryFile
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Bools, Bytes, Floats, Ints
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers._raw_stream import ByteStream, JoinedStream, StreamPart, ZeroStream
 from geraf2.apps.importers._robot_log import RobotLog
@@ -49,7 +48,7 @@ class _Stored(ByteStream):
         self._descriptor = os.dup(file.fileno())
         weakref.finalize(self, os.close, self._descriptor)
 
-    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+    def read_into(self, start: int, out: Bytes) -> None:
         os.preadv(self._descriptor, [out.data], start)
 
 
@@ -153,7 +152,7 @@ def frame_clock(
 
 def _usable_messages(
     table: Ints, frame_bytes: int, topic: str, options: ImportOptions, where: Path
-) -> tuple[list[str], NDArray[np.bool_]]:
+) -> tuple[list[str], Bools]:
     """Mask of the usable messages, after notes on the others."""
     notes = []
     odd = table[:, 1] != frame_bytes
@@ -364,12 +363,7 @@ def _check_rows(rows: list[list[float]], name: str, options: ImportOptions, wher
 
 
 def _log_of_tree(
-    reader: Any,
-    topics: list[str],
-    options: ImportOptions,
-    frame_id: str,
-    zero_ns: int,
-    where: Path,
+    reader: Any, topics: list[str], options: ImportOptions, frame_id: str, zero_ns: int, where: Path
 ) -> tuple[RobotLog, str]:
     """Poses of the radar's frame in the fixed frame, over a chain of transforms."""
     links: dict[tuple[str, str], list[list[float]]] = defaultdict(list)

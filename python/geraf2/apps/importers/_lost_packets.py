@@ -11,8 +11,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Words
 from geraf2.apps.importers._raw_stream import ByteStream, JoinedStream, StreamPart, ZeroStream
 from geraf2.apps.importers._word_order import (
     MIN_JUMP,
@@ -117,9 +117,7 @@ def find_gaps(
     return late, chirps.whole(gaps)
 
 
-def jumps_with_packets(
-    words: NDArray[np.int16], order: WordOrder, n_samples: int | None = None
-) -> bool:
+def jumps_with_packets(words: Words, order: WordOrder, n_samples: int | None = None) -> bool:
     """Whether the signal jumps between packets much more often than elsewhere, but there as well.
 
     n_samples: samples as stored of a chirp as they were found; of real chirps the signal jumps

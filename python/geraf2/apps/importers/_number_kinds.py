@@ -1,8 +1,8 @@
 """Numbers of other kinds than the words of 16 bits of a board, found by their values."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Words
 from geraf2.apps.importers._word_order import prediction_error
 from geraf2.errors import UserError
 
@@ -19,7 +19,7 @@ _SIGN_SHARE = 0.1
 _BYTE_RESIDUAL, _BYTE_EXCESS, _BYTE_LAGS = 0.1, 2.0, 2
 
 
-def require_words(words: NDArray[np.int16], where: object) -> None:
+def require_words(words: Words, where: object) -> None:
     """Raise UserError where words are parts of floating-point or other numbers."""
     kinds = ("<f4", "<f8", ">f4", ">f8", "<f2", ">f2")
     floats = next((kind for kind in kinds if _is_float(words, kind)), None)
@@ -41,7 +41,7 @@ def other_numbers(where: object, *, kind: str) -> UserError:
     )
 
 
-def _is_float(words: NDArray[np.int16], kind: str) -> bool:
+def _is_float(words: Words, kind: str) -> bool:
     """Whether words are parts of floating-point numbers of ordinary size."""
     # Integers of 16 bits have exponents near the least or largest one where they are small.
     data = words.tobytes()
@@ -56,7 +56,7 @@ def _is_float(words: NDArray[np.int16], kind: str) -> bool:
     return bool(ordinary.any() and not is_half and (ordinary | (values == 0)).mean() > _FLOAT_SHARE)
 
 
-def _are_bytes(words: NDArray[np.int16]) -> bool:
+def _are_bytes(words: Words) -> bool:
     """Whether the bytes of words are samples, as predictable as the words are."""
     words = words[:_N_WORDS]
     both = words.view(np.uint8).reshape(-1, 2).T

@@ -1,8 +1,8 @@
 """Facts about a raw recording: layout, strongest echo, dead receivers."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Complexes, Words
 from geraf2.apps.importers._raw_layout import MIN_RATIO, LayoutEvidence, side_energies
 from geraf2.apps.importers._ti_values import TiConfig
 from geraf2.apps.importers._word_order import decode
@@ -17,14 +17,14 @@ _DC_BINS = 2
 _DEAD_POWER, _DEAD_RATIO = 1e-3, 1.5
 
 
-def first_chirps(words: NDArray[np.int16], evidence: LayoutEvidence) -> NDArray[np.complex64]:
+def first_chirps(words: Words, evidence: LayoutEvidence) -> Complexes:
     """Whole chirps at the beginning of a recording, (n_chirps, n_rx, n_samples)."""
     chirp = 2 * evidence.order.n_rx * evidence.n_samples
     whole = words[: words.size // chirp * chirp]
     return decode(whole, evidence.order, evidence.n_samples)
 
 
-def dead_receivers(signal: NDArray[np.complex64]) -> list[tuple[int, str]]:
+def dead_receivers(signal: Complexes) -> list[tuple[int, str]]:
     """Dead receivers with the reason, from chirps (n_chirps, n_rx, n_samples)."""
     n_rx = signal.shape[1]
     centred = signal - signal.mean(axis=-1, keepdims=True)
@@ -77,7 +77,7 @@ def describe(
 
 
 def describe_peak(
-    signal: NDArray[np.complex64], evidence: LayoutEvidence, radar: RadarManifest, config: TiConfig
+    signal: Complexes, evidence: LayoutEvidence, radar: RadarManifest, config: TiConfig
 ) -> tuple[str, str]:
     """Fact: bin of the strongest echo, and its range [m] where the waveform is known."""
     n = evidence.n_samples

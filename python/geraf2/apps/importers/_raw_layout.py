@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Complexes, Words
 from geraf2.apps.importers._lost_packets import jumps_with_packets, packets_are_missing
 from geraf2.apps.importers._number_kinds import other_numbers, require_words
 from geraf2.apps.importers._real_samples import is_predicted_as_real, real_advantage
@@ -96,7 +96,7 @@ class LayoutEvidence:
     """Warnings for the user."""
 
 
-def side_energies(signal: NDArray[np.complex64]) -> tuple[float, float]:
+def side_energies(signal: Complexes) -> tuple[float, float]:
     """Energy at positive and at negative beat frequencies, of (..., n_samples)."""
     n = signal.shape[-1]
     window = np.hanning(n + 1)[:n]
@@ -110,14 +110,14 @@ def side_energies(signal: NDArray[np.complex64]) -> tuple[float, float]:
     )
 
 
-def _ratio(signal: NDArray[np.complex64]) -> float:
+def _ratio(signal: Complexes) -> float:
     positive, negative = side_energies(signal)
     if positive == negative:  # both zero, too
         return 1.0
     return positive / negative if negative > 0 else float("inf")
 
 
-def _segment_ratio(words: NDArray[np.int16], order: WordOrder, length: int) -> float:
+def _segment_ratio(words: Words, order: WordOrder, length: int) -> float:
     streams = channels(words, order)
     n_segments = streams.shape[1] // length
     if n_segments == 0:
@@ -125,9 +125,7 @@ def _segment_ratio(words: NDArray[np.int16], order: WordOrder, length: int) -> f
     return _ratio(streams[:, : n_segments * length].reshape(-1, length))
 
 
-def _chirp_ratio(
-    words: NDArray[np.int16], order: WordOrder, n_samples: int | None, otherwise: float
-) -> float:
+def _chirp_ratio(words: Words, order: WordOrder, n_samples: int | None, otherwise: float) -> float:
     """Ratio over whole chirps of the given or estimated length; `otherwise` without jumps."""
     if n_samples is None:
         n_samples, _ = find_n_samples(words, order, None)
@@ -156,7 +154,7 @@ def _orders(
 
 
 def find_layout(
-    words: NDArray[np.int16],
+    words: Words,
     *,
     n_rx: int | None,
     layout: Layout | None,
@@ -224,7 +222,7 @@ def find_layout(
 
 
 def _real_order(
-    words: NDArray[np.int16],
+    words: Words,
     layout: Layout | None,
     candidates: Sequence[WordOrder],
     is_real: bool | None,
@@ -260,9 +258,7 @@ def _real_order(
     return order if is_real else None
 
 
-def _refuse_blocks(
-    words: NDArray[np.int16], n_rx: int, n_samples: int | None, where: object
-) -> None:
+def _refuse_blocks(words: Words, n_rx: int, n_samples: int | None, where: object) -> None:
     """Raise UserError where words are I of a whole chirp, then Q, of one receiver or of all."""
     if n_samples is None:
         return
@@ -282,7 +278,7 @@ def _refuse_blocks(
 
 
 def _order_of_receivers(
-    words: NDArray[np.int16],
+    words: Words,
     candidates: Sequence[WordOrder],
     best: WordOrder,
     n_samples: int | None,
@@ -303,10 +299,7 @@ def _order_of_receivers(
 
 
 def _order_of_pairs(
-    words: NDArray[np.int16],
-    ratios: Mapping[WordOrder, float],
-    chosen: WordOrder,
-    n_samples: int | None,
+    words: Words, ratios: Mapping[WordOrder, float], chosen: WordOrder, n_samples: int | None
 ) -> WordOrder:
     """Order of I Q pairs of several receivers: sample after sample, or receiver after receiver."""
     # The given length of a chirp decides, or else the ratios: receivers with similar phases that
@@ -362,7 +355,7 @@ def _choose_order(
 
 
 def _found_samples(
-    words: NDArray[np.int16], order: WordOrder, given: int | None, where: object
+    words: Words, order: WordOrder, given: int | None, where: object
 ) -> tuple[int | None, float]:
     """Return the samples per chirp, and the jumps there; UserError where packets are missing."""
     found, jump = find_n_samples(words, order, None)
@@ -375,7 +368,7 @@ def _found_samples(
     return found, jump
 
 
-def _of_most_parts(words: NDArray[np.int16], order: WordOrder, n_words: int) -> int | None:
+def _of_most_parts(words: Words, order: WordOrder, n_words: int) -> int | None:
     """Return the samples per chirp that most parts of the words have; None where they differ."""
     # n_words: of all parts. Behind a missing packet chirps begin elsewhere, so that none may be
     # seen in longer parts, or losses at equal distances are taken for the ends of chirps.
@@ -388,11 +381,7 @@ def _of_most_parts(words: NDArray[np.int16], order: WordOrder, n_words: int) -> 
 
 
 def _require_possible(
-    words: NDArray[np.int16],
-    layout: Layout | None,
-    n_rx: int | None,
-    n_samples: int | None,
-    where: object,
+    words: Words, layout: Layout | None, n_rx: int | None, n_samples: int | None, where: object
 ) -> None:
     if len(words) < _MIN_WORDS:
         raise UserError(
@@ -435,7 +424,7 @@ def _best_order(one_sided: dict[WordOrder, float]) -> WordOrder:
 
 
 def _with_samples(
-    words: NDArray[np.int16],
+    words: Words,
     chosen: WordOrder,
     ratios: Mapping[WordOrder, float],
     n_samples: int | None,

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Ints
+from geraf2._types import Bools, Bytes, Ints
 from geraf2.apps.importers._rows import note_omission
 from geraf2.errors import UserError
 from geraf2.io.regular import open_regular
@@ -36,10 +36,10 @@ class ByteStream(ABC):
         self.n_bytes, self._where = n_bytes, where
 
     @abstractmethod
-    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+    def read_into(self, start: int, out: Bytes) -> None:
         """Fill `out` (n_bytes,) with the bytes from `start` on."""
 
-    def read(self, start: int, most: int) -> NDArray[np.uint8]:
+    def read(self, start: int, most: int) -> Bytes:
         """At most so many bytes from `start` on."""
         out = np.empty(min(most, self.n_bytes - start), dtype=np.uint8)
         self.read_into(start, out)
@@ -56,7 +56,7 @@ class FileStream(ByteStream):
         super().__init__(path.stat().st_size, path)
         self._path = path
 
-    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+    def read_into(self, start: int, out: Bytes) -> None:
         with open_regular(self._path) as handle:
             handle.seek(start)
             if handle.readinto(out.data) < len(out):
@@ -66,7 +66,7 @@ class FileStream(ByteStream):
 class ZeroStream(ByteStream):
     """Zeros, in the place of what was lost."""
 
-    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+    def read_into(self, start: int, out: Bytes) -> None:
         out[:] = 0
 
 
@@ -77,7 +77,7 @@ class StreamPart(ByteStream):
         super().__init__(base.n_bytes - start if n_bytes is None else n_bytes, base)
         self._base, self._start = base, start
 
-    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+    def read_into(self, start: int, out: Bytes) -> None:
         self._base.read_into(self._start + start, out)
 
 
@@ -89,7 +89,7 @@ class JoinedStream(ByteStream):
         self._ends = np.cumsum([part.n_bytes for part in parts], dtype=np.int64)
         super().__init__(int(self._ends[-1]), parts[0])
 
-    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+    def read_into(self, start: int, out: Bytes) -> None:
         at = 0
         while at < len(out):
             number = int(np.searchsorted(self._ends, start + at, side="right"))
@@ -107,7 +107,7 @@ class ChirpHeaderStream(ByteStream):
         full, rest = divmod(base.n_bytes, period)
         super().__init__(full * self._payload + max(0, rest - CHIRP_HEADER_BYTES), base)
 
-    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+    def read_into(self, start: int, out: Bytes) -> None:
         first, stop = start // self._payload, -(-(start + len(out)) // self._payload)
         raw = np.zeros((stop - first) * self._period, dtype=np.uint8)
         n_bytes = min(len(raw), self._base.n_bytes - first * self._period)
@@ -125,7 +125,7 @@ class ChirpHeaderStream(ByteStream):
         out[:] = slots[:, CHIRP_HEADER_BYTES:].reshape(-1)[at : at + len(out)]
 
 
-def _is_sync(words: NDArray[np.uint16]) -> NDArray[np.bool_]:
+def _is_sync(words: NDArray[np.uint16]) -> Bools:
     """Whether rows (n, 4) hold each sync word twice."""
     first, second = ((words == word).sum(axis=1) for word in _SYNC_WORDS)
     return np.asarray((first == 2) & (second == 2))
@@ -251,7 +251,7 @@ class PacketStream(ByteStream):
         if n_late:
             self.loss += f", {n_late} out of order and put in order"
 
-    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+    def read_into(self, start: int, out: Bytes) -> None:
         stop = start + len(out)
         first = int(np.searchsorted(self._sequence, start // self._payload))
         last = int(np.searchsorted(self._sequence, -(-stop // self._payload)))
@@ -268,7 +268,7 @@ class PacketStream(ByteStream):
             begin, end = max(at, start), min(at + len(payload), stop)
             out[begin - start : end - start] = payload[begin - at : end - at]
 
-    def _read_slots(self, first: int, n_slots: int) -> NDArray[np.uint8]:
+    def _read_slots(self, first: int, n_slots: int) -> Bytes:
         """Payload of packets that follow each other in the file, (n_bytes,)."""
         missing = self._payload - self._last_bytes if first + n_slots == self._n_slots else 0
         raw = np.zeros(n_slots * self._step, dtype=np.uint8)
@@ -298,7 +298,7 @@ class PacketStream(ByteStream):
         return sequence, self._n_slots
 
 
-def _headers(packets: NDArray[np.uint8], count_at: int) -> tuple[Ints, Ints]:
+def _headers(packets: Bytes, count_at: int) -> tuple[Ints, Ints]:
     """Sequence numbers and byte counts of packets (n_packets, n_bytes)."""
     numbers = np.ascontiguousarray(packets[:, :4]).view("<u4")[:, 0].astype(np.int64)
     wide = np.zeros((len(packets), 8), dtype=np.uint8)
@@ -316,7 +316,7 @@ def find_packets(plain: ByteStream) -> Packets | None:
     return None
 
 
-def _payload_of(head: NDArray[np.uint8], header: int, count_at: int) -> int | None:
+def _payload_of(head: Bytes, header: int, count_at: int) -> int | None:
     """Payload of each packet, if its header has this size and its byte count begins there."""
     if len(head) < header + _MIN_PAYLOAD:
         return None

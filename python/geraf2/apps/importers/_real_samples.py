@@ -13,9 +13,8 @@ from collections.abc import Callable, Iterable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geraf2._types import Floats
+from geraf2._types import Complexes, Floats, Words
 from geraf2.apps.importers._word_order import SIGN_BIT, WordOrder, channels, prediction_error
 
 _N_WORDS = 1 << 18
@@ -53,7 +52,7 @@ _MIN_GAIN = -0.15
 
 
 def real_advantage(
-    words: NDArray[np.int16], complex_orders: Iterable[WordOrder], real_orders: Iterable[WordOrder]
+    words: Words, complex_orders: Iterable[WordOrder], real_orders: Iterable[WordOrder]
 ) -> tuple[WordOrder, float]:
     """Best of the real orders, and by how much it beats every complex one (negative: not at all).
 
@@ -84,10 +83,7 @@ def real_advantage(
 
 
 def _levels(
-    words: NDArray[np.int16],
-    orders: Iterable[WordOrder],
-    length: int,
-    level: Callable[[Floats], float],
+    words: Words, orders: Iterable[WordOrder], length: int, level: Callable[[Floats], float]
 ) -> dict[WordOrder, float]:
     """Mean logarithm of the power for each order whose channels have enough words."""
     found = {}
@@ -99,7 +95,7 @@ def _levels(
     return found
 
 
-def _power(streams: NDArray[np.complex64], length: int) -> Floats:
+def _power(streams: Complexes, length: int) -> Floats:
     """Power in each bin, (n_channels, length): that of the quarter of segments without jumps."""
     n_segments = streams.shape[1] // length
     segments = streams[:, : n_segments * length].reshape(len(streams), n_segments, length)
@@ -131,7 +127,7 @@ def _complex_level(power: Floats) -> float:
     return 0.5 * min(lines[0] + noise[1], lines[1] + noise[0])
 
 
-def is_predicted_as_real(words: NDArray[np.int16], order: WordOrder) -> bool:
+def is_predicted_as_real(words: Words, order: WordOrder) -> bool:
     """Whether words are predicted better as real samples than in this order."""
     some = words[: min(_N_PREDICTED, len(words) // _OFFSET_WORDS * _OFFSET_WORDS)]
     as_complex = _residuals(channels(some, order), 0.5, _MEAN_COMPLEX)
@@ -145,9 +141,7 @@ def is_predicted_as_real(words: NDArray[np.int16], order: WordOrder) -> bool:
     return float((as_real - as_complex).mean()) < _MIN_GAIN
 
 
-def _residuals(
-    streams: NDArray[np.complex64], per_weight: float, usual: float
-) -> NDArray[np.float64]:
+def _residuals(streams: Complexes, per_weight: float, usual: float) -> Floats:
     """Logarithm of the residual over the power, for each number of real weights."""
     centred = streams - streams.mean(axis=1, keepdims=True)
     power = (np.abs(centred) ** 2).mean(axis=1, dtype=np.float64)

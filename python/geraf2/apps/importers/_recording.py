@@ -7,9 +7,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geraf2._types import Floats
+from geraf2._types import Array, Complexes, Floats, Words
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions
 from geraf2.apps.importers._lost_packets import PAYLOAD_BYTES, find_gaps, repaired_stream
 from geraf2.apps.importers._raw_facts import dead_receivers, describe, describe_peak, first_chirps
@@ -32,12 +31,7 @@ from geraf2.apps.importers._robot_log import read_log
 from geraf2.apps.importers._rows import note_omission
 from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
 from geraf2.apps.importers._ti_values import TiConfig
-from geraf2.apps.importers._word_order import (
-    Layout,
-    decode,
-    decode_integers,
-    words_per_sample,
-)
+from geraf2.apps.importers._word_order import Layout, decode, decode_integers, words_per_sample
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import RadarManifest
@@ -87,7 +81,7 @@ class Recording:
         return found.decoder
 
     @cached_property
-    def gains(self) -> NDArray[np.complex64] | None:
+    def gains(self) -> Complexes | None:
         """Factors of the channels by the configuration, (n_tx, n_rx); None: all are 1."""
         stated, n_rx = self.config.channel_gains, self.evidence.order.n_rx
         if stated is None:
@@ -141,7 +135,7 @@ class _Files:
     notes: Sequence[str] = ()
     facts: Sequence[tuple[str, str]] = ()
 
-    def head(self) -> NDArray[np.int16]:
+    def head(self) -> Words:
         """Words at the beginning; several files of the usual size where these are short."""
         size = usual_bytes(self.streams)
         pairs = zip(self.streams, self.zeros, strict=True)
@@ -253,7 +247,7 @@ def open_recording(
 
 
 def _facts(
-    head: NDArray[np.int16], files: _Files, radar: RadarManifest, found: Recording
+    head: Words, files: _Files, radar: RadarManifest, found: Recording
 ) -> tuple[tuple[tuple[str, str], ...], list[str]]:
     """Facts of a recording, and notes."""
     chirps, config = first_chirps(head, found.evidence), found.config
@@ -364,7 +358,7 @@ def _open_files(source: Path, options: ImportOptions) -> _Files:
 
 
 def _evidence(
-    head: NDArray[np.int16], n_rx: int | None, radar: RadarManifest, config: TiConfig, source: Path
+    head: Words, n_rx: int | None, radar: RadarManifest, config: TiConfig, source: Path
 ) -> LayoutEvidence:
     return find_layout(
         head,
@@ -476,7 +470,7 @@ def read_positions(
     recording: Recording, first: int, stop: int, per_position: int
 ) -> Iterator[tuple[int, Samples]]:
     """First index and mean samples (n_positions, n_tx, n_rx, n_samples); see also `is_kept`."""
-    pending: NDArray[np.complex128] | None = None
+    pending: Array | None = None
     blocks = recording.blocks(first * per_position, stop * per_position, step=per_position)
     for begin, end in blocks:
         frames = recording.read_frames(begin, end, integers=is_kept(recording, per_position))

@@ -4,11 +4,10 @@ from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import ifft, rfft
 from scipy.linalg import toeplitz
 
-from geraf2._types import Floats
+from geraf2._types import Complexes, Floats, Floats32, Words
 from geraf2.io.manifest import ComplexLayout, RealLayout
 from geraf2.io.samples import complex_samples
 
@@ -57,14 +56,14 @@ class WordOrder:
         )
 
 
-def decode(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> NDArray[np.complex64]:
+def decode(words: Words, order: WordOrder, n_samples: int) -> Complexes:
     """Complex samples of whole chirps, (n_chirps, n_rx, n_samples); see `decode_integers`."""
     if order.is_real:
         return analytic_signal(real_words(words, order, 2 * n_samples))
     return complex_samples(decode_integers(words, order, n_samples))
 
 
-def real_words(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> NDArray[np.float32]:
+def real_words(words: Words, order: WordOrder, n_samples: int) -> Floats32:
     """Real samples of whole chirps, (n_chirps, n_rx, n_samples)."""
     signed = words ^ SIGN_BIT if order.offset_binary else words
     n_chirps = words.size // (order.n_rx * n_samples)
@@ -75,7 +74,7 @@ def real_words(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> ND
     return np.ascontiguousarray(chirps, dtype=np.float32)
 
 
-def analytic_signal(samples: NDArray[np.float32]) -> NDArray[np.complex64]:
+def analytic_signal(samples: Floats32) -> Complexes:
     """Every other sample of the analytic signal, (..., n) -> (..., n / 2): half the rate."""
     half = samples.shape[-1] // 2
     spectrum = rfft(samples, axis=-1)
@@ -83,9 +82,7 @@ def analytic_signal(samples: NDArray[np.float32]) -> NDArray[np.complex64]:
     return np.asarray(ifft(spectrum[..., :half], axis=-1), dtype=np.complex64)
 
 
-def decode_integers(
-    words: NDArray[np.int16], order: WordOrder, n_samples: int
-) -> NDArray[np.int16]:
+def decode_integers(words: Words, order: WordOrder, n_samples: int) -> Words:
     """I and Q of whole chirps, (n_chirps, n_rx, n_samples, 2), from words as stored in the file."""
     chirp = 2 * order.n_rx * n_samples
     n_chirps = words.size // chirp
@@ -101,9 +98,7 @@ def decode_integers(
     return signal
 
 
-def _pack(
-    words: NDArray[np.int16], packed: NDArray[np.int16], order: WordOrder, n_samples: int
-) -> None:
+def _pack(words: Words, packed: Words, order: WordOrder, n_samples: int) -> None:
     """Copy words into the order (n_chirps, n_rx, n_samples, I and Q), one strided copy a part."""
     # A single NumPy call, whose inner loop is the short axis, takes 2 to 4 times as long.
     n_rx = order.n_rx
@@ -111,8 +106,8 @@ def _pack(
         pairs = words.view(np.uint32).reshape(-1, n_samples, n_rx)
         packed.view(np.uint32).reshape(-1, n_rx, n_samples)[...] = pairs.transpose(0, 2, 1)
         return
-    lanes: list[tuple[NDArray[np.int16], NDArray[np.int16]]]
-    target: NDArray[np.int16]
+    lanes: list[tuple[Words, Words]]
+    target: Words
     if order.layout == "2-lane-sequential":  # I(n) I(n+1) Q(n) Q(n+1), receiver after receiver
         target = packed.reshape(-1, 2, 2)
         quads = words.reshape(-1, 2, 2)
@@ -149,7 +144,7 @@ _JUMP_SHARE = 0.05
 _MIN_CHIRPS = 12
 
 
-def channels(words: NDArray[np.int16], order: WordOrder) -> NDArray[np.complex64]:
+def channels(words: Words, order: WordOrder) -> Complexes:
     """Sample streams before the chirp length is known, (n_channels, n_samples)."""
     if order.is_real:
         one = replace(order, n_rx=1) if order.is_sequential else order
@@ -162,9 +157,7 @@ def channels(words: NDArray[np.int16], order: WordOrder) -> NDArray[np.complex64
     return np.asarray(decode(words[: 2 * order.n_rx * n_samples], order, n_samples)[0])
 
 
-def find_n_samples(
-    words: NDArray[np.int16], order: WordOrder, given: int | None
-) -> tuple[int | None, float]:
+def find_n_samples(words: Words, order: WordOrder, given: int | None) -> tuple[int | None, float]:
     """Return the samples per chirp, from the jumps of the signal, and the ratio of these to others.
 
     Jumps are residuals of a linear prediction. The chirp is the smallest period with a jump at
@@ -197,7 +190,7 @@ def find_n_samples(
     return smallest, scores[smallest]
 
 
-def signal_jumps(words: NDArray[np.int16], order: WordOrder) -> Floats:
+def signal_jumps(words: Words, order: WordOrder) -> Floats:
     """Power of the prediction residual of each sample, (n_samples,)."""
     n_lags = _N_LAGS * order.per_complex
     errors = np.abs(prediction_error(channels(words, order), n_lags)).astype(np.float64) ** 2
@@ -207,7 +200,7 @@ def signal_jumps(words: NDArray[np.int16], order: WordOrder) -> Floats:
     return np.asarray(ratios.mean(axis=0))
 
 
-def chirp_phase(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> int | None:
+def chirp_phase(words: Words, order: WordOrder, n_samples: int) -> int | None:
     """Sample as stored at which chirps begin; None where no jump shows it.
 
     n_samples: complex samples of a chirp. Words that begin with a chirp give 0.
@@ -230,7 +223,7 @@ def chirp_phase(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> i
     return latest if folded[latest : latest + step].max() >= MIN_JUMP * folded[0] else 0
 
 
-def find_late_chirps(words: NDArray[np.int16], order: WordOrder) -> tuple[int, int] | None:
+def find_late_chirps(words: Words, order: WordOrder) -> tuple[int, int] | None:
     """Return the samples per chirp and those before the first whole one."""
     jumps = signal_jumps(words, order)
     jumps = jumps[: min(_MAX_SAMPLES, len(jumps) // 2)]
@@ -261,7 +254,7 @@ def _jump_score(jumps: Floats, period: int) -> float:
     return float(np.median(at[1:], axis=0).min()) if n_rounds > 1 else float(at[0, 1:].min())
 
 
-def prediction_error(streams: NDArray[np.complex64], n_lags: int) -> NDArray[np.complex64]:
+def prediction_error(streams: Complexes, n_lags: int) -> Complexes:
     """Residual of a Yule-Walker linear prediction, (n_channels, n_samples)."""
     error = streams - streams.mean(axis=1, keepdims=True)
     n = streams.shape[1]

@@ -63,10 +63,7 @@ class RosbagImporter:
         else:
             text = f"radar {offset:g} ms late, given"
         raw = radar.raw.model_copy(
-            update={
-                "start_time_s": bag.start_s - 1e-3 * offset,
-                "frame_period_s": bag.period_s,
-            }
+            update={"start_time_s": bag.start_s - 1e-3 * offset, "frame_period_s": bag.period_s}
         )
         recording = replace(
             recording,

@@ -1,11 +1,10 @@
 """Smoothing and quick redistancing of values on a grid."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
-from geraf2._types import Bools, Floats
+from geraf2._types import Bools, Floats, Floats32
 
 _NEAR_VOXELS = 2.5
 """Limit of the first-order distance, value over slope; beyond, voxel distances are used."""
@@ -34,7 +33,7 @@ def steps_to_outline(inside: Bools) -> Floats:
     return np.asarray(np.where(inside, 0.5 - ndimage.distance_transform_edt(inside), outward))
 
 
-def quick_redistance(values: NDArray[np.float32], spacing_m: float) -> NDArray[np.float32]:
+def quick_redistance(values: Floats32, spacing_m: float) -> Floats32:
     """Signed distance with the same zero level, to first order near it.
 
     Within 2.5 voxels of the zero level f / |grad f|, which does not move it; farther out the
@@ -52,7 +51,7 @@ def quick_redistance(values: NDArray[np.float32], spacing_m: float) -> NDArray[n
     return np.asarray(np.where(keep, near, far), dtype=np.float32)
 
 
-def close_body(values: NDArray[np.float32], spacing_m: float) -> NDArray[np.float32]:
+def close_body(values: Floats32, spacing_m: float) -> Floats32:
     """Field whose inside is closed at the grid's rim, without small parts and hollows.
 
     Inside parts of less than 2 % of the largest one's volume become outside, and outside parts that

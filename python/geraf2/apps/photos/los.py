@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geraf2 import __version__
-from geraf2._types import Progress
+from geraf2._types import Floats, Progress
 from geraf2.apps.photos.formats import find_photos, open_photos
 from geraf2.apps.photos.photo_checks import require_photos_in_view, require_plausible_photos
 from geraf2.apps.photos.photo_store import load_photos
@@ -381,7 +380,7 @@ def _make_from_mesh(
     mesh: TriangleMesh,
     out: Path,
     record: LosRecord,
-    limits: NDArray[np.float64] | None,
+    limits: Floats | None,
     num_threads: int | None,
     listener: Listener,
 ) -> LosResult:

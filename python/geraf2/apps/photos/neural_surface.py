@@ -5,10 +5,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from geraf2._types import Array
+from geraf2._types import Array, Floats32
 from geraf2.apps.photos.config import PhotoConfig
 from geraf2.apps.photos.grid_smoothing import close_body, quick_redistance
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
@@ -35,13 +34,13 @@ _CHUNK_SAMPLES = 1 << 18
 class RenderedView:
     """Picture of a surface as a camera sees it."""
 
-    colour: NDArray[np.float32]
+    colour: Floats32
     """sRGB from 0 to 1, (height, width, 3); black off the surface."""
-    opacity: NDArray[np.float32]
+    opacity: Floats32
     """0 to 1, (height, width)."""
-    normal: NDArray[np.float32]
+    normal: Floats32
     """Outward normal in the capture frame, weighted by opacity, (height, width, 3)."""
-    depth: NDArray[np.float32]
+    depth: Floats32
     """Mean distance along the ray where opacity is above 1/2, else NaN, (height, width) [m]."""
 
 
@@ -71,9 +70,7 @@ class NeuralSurface:
         return intersect_box(origins, directions, low, high)
 
     def render_rays(
-        self,
-        rays: tuple[Tensor, Tensor],
-        generator: torch.Generator | None = None,
+        self, rays: tuple[Tensor, Tensor], generator: torch.Generator | None = None
     ) -> Rendering:
         """Render rays by :func:`geraf2.apps.photos.neus.rendering.render_rays`."""
         sampling, radius_m = self.config.sampling, self.region.radius_m

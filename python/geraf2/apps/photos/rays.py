@@ -5,11 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
-from geraf2._types import Bools
+from geraf2._types import Bools, Bytes, Floats32
 from geraf2.apps.photos.formats.masks import close_cracks
 from geraf2.apps.photos.neus.ray_samples import intersect_box
 from geraf2.apps.photos.visual_hull import Region
@@ -72,8 +71,8 @@ class PhotoRays:
         return self._inside.shape[0]
 
     def _photo_rays(
-        self, camera: Camera, image: NDArray[np.uint8], mask: Bools, rng: np.random.Generator
-    ) -> tuple[NDArray[np.float32], NDArray[np.uint8], Bools, Bools]:
+        self, camera: Camera, image: Bytes, mask: Bools, rng: np.random.Generator
+    ) -> tuple[Floats32, Bytes, Bools, Bools]:
         rim = ndimage.distance_transform_edt(~mask) <= max(_MIN_RIM, _RIM * max(mask.shape))
         pixels = np.argwhere(rim | (rng.random(mask.shape) < _FAR_RIM_SHARE))
         origins, directions = camera.rays(pixels[:, ::-1] + 0.5)

@@ -84,10 +84,7 @@ class PhotoTrainer:
             for name, value in entry.items():
                 arrays[f"optimiser.{index}.{name}"] = torch.as_tensor(value).numpy()
         # the region of the surface may have shrunk since the rays were chosen
-        return arrays, header | {
-            "step": self.step_number,
-            "rays_region": asdict(self.rays.region),
-        }
+        return arrays, header | {"step": self.step_number, "rays_region": asdict(self.rays.region)}
 
     def restore(self, arrays: dict[str, Array], header: dict[str, Any]) -> None:
         """Restore the state of a run with the same settings."""

@@ -95,10 +95,7 @@ def start_surface(
 
 
 def _run(
-    trainer: PhotoTrainer,
-    progress: Progress | None,
-    path: Path | None,
-    names: Sequence[str],
+    trainer: PhotoTrainer, progress: Progress | None, path: Path | None, names: Sequence[str]
 ) -> None:
     saved_s = time.monotonic()
     with _delay_interrupts() as stops:

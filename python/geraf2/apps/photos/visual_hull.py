@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from geraf2._types import Bools, Floats
+from geraf2._types import Bools, Floats, Floats32
 from geraf2._validation import require_positive
 from geraf2.apps.photos.formats.masks import close_cracks
 from geraf2.apps.photos.grid_smoothing import steps_to_outline
@@ -89,12 +88,12 @@ class VisualHull:
         self._distances = [silhouette_distance(close_cracks(mask)) for mask in photos.masks]
         self._rank = len(photos) - 1 - len(photos) // _VIEWS_PER_MISTAKE
 
-    def distance(self, points: Floats) -> NDArray[np.float32]:
+    def distance(self, points: Floats) -> Floats32:
         """Signed distance at points (n, 3) [m], (n,) [m]."""
         parts = np.array_split(points, range(_CHUNK, len(points), _CHUNK))
         return np.concatenate([self._distance(part) for part in parts])
 
-    def _distance(self, points: Floats) -> NDArray[np.float32]:
+    def _distance(self, points: Floats) -> Floats32:
         pairs = zip(self._cameras, self._distances, strict=True)
         left = np.stack([_outline_distance(*pair, points) for pair in pairs])
         hull = np.partition(left, self._rank, axis=0)[self._rank]
@@ -103,9 +102,7 @@ class VisualHull:
         return np.asarray(np.where(seldom, np.abs(hull), hull))
 
 
-def _outline_distance(
-    camera: Camera, distance: NDArray[np.float32], points: Floats
-) -> NDArray[np.float32]:
+def _outline_distance(camera: Camera, distance: Floats32, points: Floats) -> Floats32:
     pixels = camera.project(points)
     shown = camera.contains(pixels)
     depth = (points[shown] - camera.position) @ camera.view_direction
@@ -117,7 +114,7 @@ def _outline_distance(
     return left
 
 
-def silhouette_distance(mask: Bools) -> NDArray[np.float32]:
+def silhouette_distance(mask: Bools) -> Floats32:
     """Distance of pixels' middles from the outline, negative inside, (height, width) [pixel]."""
     size = float(max(mask.shape))
     if mask.all() or not mask.any():

@@ -4,10 +4,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from geraf2._types import Bools
+from geraf2._types import Bools, Bytes
 from geraf2.io.pictures import broken_picture, open_picture
 
 _EIGHT_BITS = 255.0
@@ -19,9 +18,9 @@ _ON_ITS_SIDE = (5, 6, 7, 8)
 class ReadImage(NamedTuple):
     """An image and its transparency."""
 
-    colour: NDArray[np.uint8]
+    colour: Bytes
     """(height, width, 3), sRGB."""
-    alpha: NDArray[np.uint8] | None
+    alpha: Bytes | None
     """(height, width), None where the file has none."""
     is_tagged: bool
     """Whether the file has an EXIF orientation that was not applied."""

@@ -1,10 +1,9 @@
 """Masks of an object before a dark background."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from geraf2._types import Bools
+from geraf2._types import Bools, Bytes, Floats32
 
 # Removes single bright pixels of noise; the outline moves by less than half a pixel.
 _BLUR_PIXELS = 1.0
@@ -15,11 +14,7 @@ _HOLE_RADIUS = 1 / 64
 
 
 def threshold_mask(
-    image: NDArray[np.uint8],
-    threshold: float,
-    within: Bools | None = None,
-    *,
-    fill_shadows: bool = True,
+    image: Bytes, threshold: float, within: Bools | None = None, *, fill_shadows: bool = True
 ) -> Bools:
     """Largest connected part whose brightest channel, blurred by one pixel, is above a threshold.
 
@@ -56,7 +51,7 @@ def close_cracks(mask: Bools) -> Bools:
     return np.asarray(inner | mask)
 
 
-def _shadows(mask: Bools, brightness: NDArray[np.float32], threshold: float) -> Bools:
+def _shadows(mask: Bools, brightness: Floats32, threshold: float) -> Bools:
     """Cracks and small holes of a silhouette that are brighter than the background around it."""
     outside = ~ndimage.binary_fill_holes(mask)
     if not outside.any():

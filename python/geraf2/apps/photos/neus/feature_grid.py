@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from geraf2._types import Bools
@@ -28,20 +28,20 @@ class FeatureGrid(nn.Module):
         rows = np.zeros(active.size, dtype=np.int32)
         n_active = int(np.count_nonzero(active))
         rows[active.ravel()] = np.arange(1, n_active + 1, dtype=np.int32)
-        self.rows: torch.Tensor
+        self.rows: Tensor
         self.register_buffer("rows", torch.from_numpy(rows))
         self.table = nn.Parameter(torch.zeros(n_active + 1, n_features))
 
-    def forward(self, points: torch.Tensor) -> torch.Tensor:
+    def forward(self, points: Tensor) -> Tensor:
         """Features at points (n, 3) [m], (n, n_features); outside points use the nearest rim.
 
         Differentiable with respect to the features only.
         """
         index, share = self._corners(points)
-        out: torch.Tensor = _Gather.apply(self.table, index, share)  # type: ignore[no-untyped-call]
+        out: Tensor = _Gather.apply(self.table, index, share)  # type: ignore[no-untyped-call]
         return out
 
-    def active_points(self) -> torch.Tensor:
+    def active_points(self) -> Tensor:
         """Positions of the nodes of rows 1 and up, (n_active, 3) [m]."""
         flat = torch.nonzero(self.rows)[:, 0]
         _, ny, nz = self.grid.shape
@@ -54,12 +54,12 @@ class FeatureGrid(nn.Module):
             self.table[0] = other.table.mean(dim=0)
             self.table[1:] = other(self.active_points().to(other.table.dtype))
 
-    def restore(self, rows: torch.Tensor) -> None:
+    def restore(self, rows: Tensor) -> None:
         """Set the rows of a stored grid, with an empty table to be loaded afterwards."""
         self.rows = rows
         self.table = nn.Parameter(torch.zeros(int(rows.max()) + 1, self.table.shape[1]))
 
-    def _corners(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _corners(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Rows (n, 8) and shares (n, 8) of the eight nodes around each point."""
         shape = torch.tensor(self.grid.shape)
         origin = torch.tensor(self.grid.origin_m, dtype=points.dtype)
@@ -80,16 +80,14 @@ class _Gather(torch.autograd.Function):
     """Weighted sums of rows; the backward of torch's own embedding_bag takes twice as long."""
 
     @staticmethod
-    def forward(
-        ctx: Any, table: torch.Tensor, index: torch.Tensor, share: torch.Tensor
-    ) -> torch.Tensor:
+    def forward(ctx: Any, table: Tensor, index: Tensor, share: Tensor) -> Tensor:
         ctx.save_for_backward(index, share)
         ctx.shape = table.shape
         return torch.nn.functional.embedding_bag(index, table, per_sample_weights=share, mode="sum")
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         index, share = ctx.saved_tensors
         parts = (share[:, :, None] * grad[:, None]).reshape(-1, grad.shape[1])
         total = grad.new_zeros(ctx.shape).index_add_(0, index.reshape(-1), parts)

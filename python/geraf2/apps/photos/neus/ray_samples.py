@@ -1,6 +1,7 @@
 """Samples along the rays of a photo: intersections, even intervals, importance."""
 
 import torch
+from torch import Tensor
 
 from geraf2.ops.ray_march import ray_march
 
@@ -11,8 +12,8 @@ _FLOOR = 1e-5
 
 
 def intersect_box(
-    origins: torch.Tensor, directions: torch.Tensor, low: torch.Tensor, high: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
+    origins: Tensor, directions: Tensor, low: Tensor, high: Tensor
+) -> tuple[Tensor, Tensor]:
     """Entry and exit of rays (n, 3) in an upright box, (n,) each [m]; entry >= exit: missed.
 
     A ray that begins within enters at zero.
@@ -25,11 +26,8 @@ def intersect_box(
 
 
 def even_edges(
-    near: torch.Tensor,
-    far: torch.Tensor,
-    n_intervals: int,
-    generator: torch.Generator | None = None,
-) -> torch.Tensor:
+    near: Tensor, far: Tensor, n_intervals: int, generator: torch.Generator | None = None
+) -> Tensor:
     """Edges of equal intervals from near to far, (n_rays, n_intervals + 1) [m].
 
     With a generator, all edges of a ray but the outer ones move by the same random share of an
@@ -42,7 +40,7 @@ def even_edges(
     return near[:, None] + (far - near)[:, None] * share
 
 
-def slopes(sdf: torch.Tensor, middles: torch.Tensor) -> torch.Tensor:
+def slopes(sdf: Tensor, middles: Tensor) -> Tensor:
     """Slope of the signed distance along rays, (n_rays, n): the steeper of both sides, below 0."""
     steps = (middles[:, 1:] - middles[:, :-1]).clamp(min=torch.finfo(middles.dtype).tiny)
     between = (sdf[:, 1:] - sdf[:, :-1]) / steps
@@ -54,12 +52,12 @@ def slopes(sdf: torch.Tensor, middles: torch.Tensor) -> torch.Tensor:
 
 
 def importance_edges(
-    edges: torch.Tensor,
-    sdf: torch.Tensor,
+    edges: Tensor,
+    sdf: Tensor,
     inv_s: float,
     n_intervals: int,
     generator: torch.Generator | None = None,
-) -> torch.Tensor:
+) -> Tensor:
     """Edges of intervals that are dense where a ray meets the surface.
 
     The density is the weight of the coarse intervals at sharpness `inv_s`, plus a hundredth of
@@ -82,9 +80,7 @@ def importance_edges(
     return _inverse(edges, density, n_intervals + 1, generator)
 
 
-def _inverse(
-    edges: torch.Tensor, density: torch.Tensor, n: int, generator: torch.Generator | None
-) -> torch.Tensor:
+def _inverse(edges: Tensor, density: Tensor, n: int, generator: torch.Generator | None) -> Tensor:
     """Quantiles of a density that is constant between edges, (n_rays, n) [m]."""
     total = torch.cumsum(density, dim=1)
     total = torch.cat([torch.zeros_like(total[:, :1]), total], dim=1)
@@ -101,6 +97,6 @@ def _inverse(
     return first + (last - first) * share.clamp(0.0, 1.0)
 
 
-def middle_and_step(edges: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def middle_and_step(edges: Tensor) -> tuple[Tensor, Tensor]:
     """Middles and lengths of contiguous intervals, (n_rays, n) each [m]."""
     return 0.5 * (edges[:, 1:] + edges[:, :-1]), edges[:, 1:] - edges[:, :-1]

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from geraf2._validation import require_least
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
@@ -32,28 +33,28 @@ class PhotoSamplingConfig:
 class Rendering(NamedTuple):
     """Rendered quantities of rays."""
 
-    colour: torch.Tensor
+    colour: Tensor
     """(n_rays, 3), before black."""
-    opacity: torch.Tensor
+    opacity: Tensor
     """Sum of the weights, (n_rays,)."""
-    normal: torch.Tensor
+    normal: Tensor
     """Sum of weight times unit gradient, (n_rays, 3)."""
-    depth: torch.Tensor
+    depth: Tensor
     """Sum of weight times distance from the origin, (n_rays,) [m]."""
-    gradient: torch.Tensor
+    gradient: Tensor
     """Gradient of the signed distance at every sample, (n_rays, n_samples, 3)."""
-    weight: torch.Tensor
+    weight: Tensor
     """(n_rays, n_samples)."""
 
 
 def sample_edges(
     field: ColouredGrid,
-    rays: tuple[torch.Tensor, torch.Tensor],
-    span: tuple[torch.Tensor, torch.Tensor],
+    rays: tuple[Tensor, Tensor],
+    span: tuple[Tensor, Tensor],
     config: PhotoSamplingConfig,
     inv_s: tuple[float, float],
     generator: torch.Generator | None = None,
-) -> torch.Tensor:
+) -> Tensor:
     """Edges of the intervals to render, (n_rays, n + 1) [m]; no gradient.
 
     `rays` are origins and unit directions (n_rays, 3), `span` where they enter and leave the
@@ -69,19 +70,14 @@ def sample_edges(
     return edges
 
 
-def _sample_sdf(
-    field: ColouredGrid, origins: torch.Tensor, directions: torch.Tensor, edges: torch.Tensor
-) -> torch.Tensor:
+def _sample_sdf(field: ColouredGrid, origins: Tensor, directions: Tensor, edges: Tensor) -> Tensor:
     middles, _ = middle_and_step(edges)
     points = origins[:, None] + middles[:, :, None] * directions[:, None]
     return field.value(points.reshape(-1, 3)).reshape(middles.shape)
 
 
 def render_rays(
-    field: ColouredGrid,
-    rays: tuple[torch.Tensor, torch.Tensor],
-    edges: torch.Tensor,
-    inv_s: float,
+    field: ColouredGrid, rays: tuple[Tensor, Tensor], edges: Tensor, inv_s: float
 ) -> Rendering:
     r"""Colour, opacity, normal and depth along rays.
 
