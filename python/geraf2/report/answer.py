@@ -74,11 +74,10 @@ def answer_of(
     corrected = tuple(str(text).partition(":")[0] for text in applied)
     box, inside = numbers.get("box", {}).get("by_radar", ""), describe(numbers.get("glints", {}))
     notes = tuple(f"{text[0].upper()}{text[1:]}." for text in (box, inside) if text)
-    if content is None:
-        found = "Nothing has been reconstructed in this folder yet."
-        return Answer(found=found, corrected=corrected, notes=notes)
-    if not content.faces.shape[0]:
+    if content is None or not content.faces.shape[0]:
         found = "Nothing was found in the box: the surface is empty."
+        if content is None:
+            found = "Nothing has been reconstructed in this folder yet."
         return Answer(found=found, corrected=corrected, notes=notes)
     report = surface_report(content)
     seen = seen_vertices(content, glints)
@@ -89,8 +88,10 @@ def answer_of(
     if seen is not None:
         outlines = bool(numbers.get("outlines", {}).get("outlines"))
         cards.append(_unseen_card(content, seen, outlines))
+    ghosts = "; ".join(ghost_texts(numbers.get("mesh", {})))
+    not_counted = f" Likely ghosts, not counted: {ghosts}." if ghosts else ""
     return Answer(
-        found=_describe_content(content, report) + _ghosts(numbers.get("mesh", {})),
+        found=_describe_content(content, report) + not_counted,
         cards=tuple(cards),
         scores=tuple(_scores(metrics)) if "scores" in metrics else (),
         corrected=corrected,
@@ -162,12 +163,6 @@ def _describe_content(content: TriangleMesh, report: SurfaceReport) -> str:
     if n == 1:
         return f"One body, {lengths}, its centre at ({position}) mm.{closed}"
     return f"{n} separate pieces, {lengths} over all, their centre at ({position}) mm.{closed}"
-
-
-def _ghosts(numbers: Mapping[str, Any]) -> str:
-    """Sentence on pieces that are not counted, after a space; empty without any."""
-    texts = ghost_texts(numbers)
-    return f" Likely ghosts, not counted: {'; '.join(texts)}." if texts else ""
 
 
 def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:

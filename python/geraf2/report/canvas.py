@@ -170,12 +170,18 @@ def extent_mm(grid: Grid, across: int, up: int) -> tuple[float, float, float, fl
 
 def draw_section(
     panel: "Axes",
-    mesh: TriangleMesh,
-    center: Floats,
+    mesh: TriangleMesh | None,
     plane: tuple[int, int, int],
     style: tuple[str, float],
+    center: Floats | None = None,
 ) -> None:
-    """Draw the cut of a mesh by a plane through a point; style: colour and width of its lines."""
+    """Draw the cut of a mesh, if there is one, by a plane through a point, or through its middle.
+
+    style: colour and width of its lines.
+    """
+    if mesh is None or not mesh.faces.shape[0]:
+        return
+    center = mesh.vertices.mean(axis=0) if center is None else center
     import trimesh  # noqa: PLC0415 - takes 0.3 s to import
     from matplotlib.collections import LineCollection  # noqa: PLC0415 - as above
 

@@ -62,9 +62,8 @@ def sdf_slices(
     image: Any = None
     for panel, (across, up, cut) in zip(panels, _PLANES, strict=True):
         image = _draw_field(panel, sdf, center, (across, up, cut))
-        for mesh, colour, width in ((box, BOX_COLOUR, 1.6), (truth, TRUTH_COLOUR, 1.6)):
-            if mesh is not None and mesh.faces.shape[0]:
-                canvas.draw_section(panel, mesh, center, (across, up, cut), (colour, width))
+        for mesh, colour in ((box, BOX_COLOUR), (truth, TRUTH_COLOUR)):
+            canvas.draw_section(panel, mesh, (across, up, cut), (colour, 1.6), center)
         if glints is not None:
             _draw_glints_near(panel, glints, center, (across, up, cut), near)
         title = f"{AXIS_NAMES[cut]} = {round(1e3 * center[cut])} mm"
@@ -117,9 +116,7 @@ def draw_projections(
         decibels = 20.0 * np.log10(np.maximum(maxima[along] / peak, 1e-20))
         extent = canvas.extent_mm(grid, across, up)
         image = canvas.show(panel, decibels, extent, vmin=-_HEAT_MAP_RANGE_DB, vmax=0.0)
-        if box is not None and box.faces.shape[0]:
-            middle = box.vertices.mean(axis=0)
-            canvas.draw_section(panel, box, middle, (across, up, along), ("#BBBBBB", 1.0))
+        canvas.draw_section(panel, box, (across, up, along), ("#BBBBBB", 1.0))
         canvas.label_millimetres(panel, across, up, f"largest along {AXIS_NAMES[along]}")
         _limit_to_content(panel, grid, box, (across, up))
         panel.set_facecolor("black")
@@ -187,9 +184,7 @@ def glint_overview(glints: Glints, path: AnyPath, *, box: TriangleMesh | None = 
         x, y = 1e3 * glints.positions[order][:, [across, up]].T
         scale: dict[str, Any] = {"cmap": "viridis", "vmin": -30, "vmax": 0}
         dots = panel.scatter(x, y, c=decibels[order], s=5, linewidths=0, **scale)
-        if box is not None and box.faces.shape[0]:
-            middle = box.vertices.mean(axis=0)
-            canvas.draw_section(panel, box, middle, (across, up, along), (BOX_COLOUR, 1.2))
+        canvas.draw_section(panel, box, (across, up, along), (BOX_COLOUR, 1.2))
         panel.set_aspect("equal", adjustable="datalim")
         canvas.label_millimetres(panel, across, up, f"seen along {AXIS_NAMES[along]}")
     sheet.colour_bar(panels[-1], dots, "strength [dB of the strongest]")

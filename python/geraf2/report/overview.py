@@ -162,9 +162,7 @@ def _draw_geometry(
         canvas.show(panel, decibels, extent, vmin=-_HEAT_DB, vmax=0.0)
     positions = 1e3 * np.concatenate(gathered.positions)
     panel.plot(positions[:, across], positions[:, up], ".", color=SKY, markersize=1.0, zorder=0)
-    if box is not None and box.faces.shape[0]:
-        middle = box.vertices.mean(axis=0)
-        canvas.draw_section(panel, box, middle, axes, ("white", 1.4))
+    canvas.draw_section(panel, box, axes, ("white", 1.4))
     corners = 1e3 * (np.asarray(grid.origin_m) + np.outer([0, _N_VOXELS - 1], [grid.spacing_m] * 3))
     everything = np.concatenate([positions, corners])
     for limits, axis in ((panel.set_xlim, across), (panel.set_ylim, up)):

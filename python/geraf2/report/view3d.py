@@ -248,7 +248,7 @@ def view_scene(
         shade = MeshPainter(thin).ambient
         shown["shade"] = encode_integers(np.round(255.0 * np.clip(shade, 0.0, 1.0)).astype("<u1"))
     shown["attributes"] = [_attribute(attribute, kept) for attribute in attributes]
-    shown["groups"] = None if apart is None else _groups(apart.groups[kept])
+    shown["groups"] = _groups(apart.groups if apart else None, kept)
     meshes = [shown]
     if truth is not None and truth.faces.shape[0]:
         thin, _, note = _thin_with_note(truth, _MAX_TRUTH_FACES, "truth")
@@ -258,7 +258,7 @@ def view_scene(
         thin, kept, note = _thin_with_note(other.mesh, _MAX_TRUTH_FACES, other.label)
         options = {"opacity": other.opacity, "note": note, "reference": other.is_reference}
         options["visible"] = other.is_visible
-        options["groups"] = None if other.groups is None else _groups(other.groups[kept])
+        options["groups"] = _groups(other.groups, kept)
         meshes.append(_mesh(thin, other.label, other.colour, **options))
     if box is not None and box.faces.shape[0]:
         thin, _, note = _thin_with_note(box, _MAX_BOX_FACES, "box")
@@ -329,8 +329,8 @@ def _thin_with_note(
     return TriangleMesh(vertices=mesh.vertices[kept], faces=faces), kept, note
 
 
-def _groups(groups: Ints) -> dict[str, str]:
-    return encode_integers(groups.astype("<u2"))
+def _groups(groups: Ints | None, kept: Ints) -> dict[str, str] | None:
+    return None if groups is None else encode_integers(groups[kept].astype("<u2"))
 
 
 def encode_integers(values: NDArray[Any]) -> dict[str, str]:

@@ -70,15 +70,9 @@ def heat_map(volume: Array, grid: Grid) -> Volume:
 
 def signed_distance(sdf: SdfGrid) -> Volume:
     """Distance to the surface in millimetres, negative inside."""
-    limits = (-_DISTANCE_MM, _DISTANCE_MM)
-    return Volume(
-        label="signed distance",
-        grid=sdf.grid,
-        values=1e3 * sdf.values,
-        unit="mm",
-        limits=limits,
-        colour_map="RdBu",
-    )
+    scale: dict[str, Any] = {"limits": (-_DISTANCE_MM, _DISTANCE_MM), "colour_map": "RdBu"}
+    values = 1e3 * sdf.values
+    return Volume(label="signed distance", grid=sdf.grid, values=values, unit="mm", **scale)
 
 
 def read_heat_map(path: Path) -> Volume:
