@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Any
@@ -229,15 +230,15 @@ def _samples_topic(reader: Any, topics: dict[str, str], options: ImportOptions, 
     return found[0]
 
 
-def _arrays_of(fields: Any, kind: str, depth: int = 0) -> list[tuple[tuple[str, ...], str]]:
+def _arrays_of(fields: Any, kind: str, depth: int = 0) -> list[tuple[str, str]]:
     """Paths of the arrays of words in a type of message, with their kinds of numbers."""
-    found: list[tuple[tuple[str, ...], str]] = []
+    found: list[tuple[str, str]] = []
     for name, (node, inner) in fields[kind][1] if kind in fields else ():
         if node in (_ARRAY, _SEQUENCE) and inner[0][0] != _NAME:
             word = _WORDS.get(inner[0][1][0])
-            found += [((name,), word)] if word else []
+            found += [(name, word)] if word else []
         elif node == _NAME and depth < _MAX_DEPTH:
-            found += [((name, *path), word) for path, word in _arrays_of(fields, inner, depth + 1)]
+            found += [(f"{name}.{n}", word) for n, word in _arrays_of(fields, inner, depth + 1)]
     return found
 
 
@@ -256,14 +257,14 @@ def _stamp(message: Any) -> int:
 def _copy_frames(reader: Any, topic: str, file: Any, where: Path) -> tuple[Ints, str, str]:
     """Stamp [ns], size and offset in the file of each message, the radar's frame, and the field."""
     rows, frame_id, field = [], "", ""
-    used: list[tuple[tuple[str, ...], str]] = []
+    used: list[tuple[str, str]] = []
     arrays = _arrays_of(reader.typestore.fielddefs, reader.topics[topic].msgtype)
     for stamp, message in _messages(reader, topic):
         if not used:
             used = _used_arrays(message, arrays, topic, where)
-            field = " and ".join(".".join(path) for path, _ in used)
+            field = " and ".join(name for name, _ in used)
             frame_id = str(getattr(getattr(message, "header", None), "frame_id", ""))
-        parts = [np.asarray(_value(message, path)).astype(word) for path, word in used]
+        parts = [np.asarray(attrgetter(name)(message)).astype(word) for name, word in used]
         if len({part.size for part in parts}) > 1:
             raise UserError(what=f"{field} of a message of {topic} differ in length", where=where)
         data = np.stack(parts, axis=-1).tobytes()  # I and Q of each sample
@@ -275,29 +276,25 @@ def _copy_frames(reader: Any, topic: str, file: Any, where: Path) -> tuple[Ints,
 
 
 def _used_arrays(
-    message: Any, arrays: Sequence[tuple[tuple[str, ...], str]], topic: str, where: Path
-) -> list[tuple[tuple[str, ...], str]]:
+    message: Any, arrays: Sequence[tuple[str, str]], topic: str, where: Path
+) -> list[tuple[str, str]]:
     """Array of samples in a message, the longest: others hold shapes and settings; or I and Q."""
-    sizes = [len(_value(message, path)) for path, _ in arrays]
+    sizes = [len(attrgetter(name)(message)) for name, _ in arrays]
     longest = [array for array, n in zip(arrays, sizes, strict=True) if n == max(sizes)]
-    parts = [[a for a in arrays if name.fullmatch(a[0][-1])] for name in (_REAL, _IMAGINARY)]
+    parts = [
+        [a for a in arrays if name.fullmatch(a[0].split(".")[-1])] for name in (_REAL, _IMAGINARY)
+    ]
     both = [part[0] for part in parts if len(part) == 1]
     if len(both) == 2 and all(array in both for array in longest):
         return both
     if len(longest) == 1:
         return longest
-    names = ", ".join(".".join(path) for path, _ in longest)
+    names = ", ".join(name for name, _ in longest)
     raise UserError(
         what=f"a message of {topic} has {len(longest)} arrays of {max(sizes)} values: {names}",
         where=where,
         expected="one array of samples, or two whose names say real and imaginary part",
     )
-
-
-def _value(message: Any, path: tuple[str, ...]) -> Any:
-    for name in path:
-        message = getattr(message, name)
-    return message
 
 
 def _read_log(

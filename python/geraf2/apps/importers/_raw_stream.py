@@ -218,7 +218,7 @@ class PacketStream(ByteStream):
     def __init__(self, plain: ByteStream, packets: Packets, *, keep_good: bool) -> None:
         self._plain = plain
         self._payload, self._header, self._count_at = packets
-        payload_bytes, header_bytes = packets.payload, packets.header
+        payload_bytes, header_bytes, _ = packets
         self._step = payload_bytes + header_bytes
         full, rest = divmod(plain.n_bytes, self._step)
         self._n_slots = full + (rest > header_bytes)

@@ -149,7 +149,7 @@ def divide_at_turns(track: Track, period_s: float) -> Track:
     return replace(track, ranges=tuple(ranges), plane_starts=tuple(starts), notes=notes)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Frames:
     """Frames of a recording on the clock of a log with time stamps."""
 
@@ -199,14 +199,7 @@ def log_track(
             "the time of the first frame is not known and was assumed to be that of the first row "
             f"of {log.path.name}; give start_time_s under [raw]"
         )
-    frames = _Frames(
-        log=log,
-        rows_s=log.times_s,
-        n_frames=n_frames,
-        start_s=start_time_s,
-        period_s=frame_period_s,
-        keep_good=keep_good,
-    )
+    frames = _Frames(log, log.times_s, n_frames, start_time_s, frame_period_s, keep_good)
     covered, outside = _covered_frames(frames)
     starts: tuple[int, ...] = (0,)
     if log.scan is not None:

@@ -25,7 +25,7 @@ import numpy as np
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._board import Board, board_of, plane_axes, ti_receivers
-from geraf2.apps.importers._recording import Recording, open_recording, read_positions
+from geraf2.apps.importers._recording import open_recording, read_positions
 from geraf2.apps.importers._robot_log import RobotLog
 from geraf2.apps.importers._rows import good_rows, note_omission, require_equal, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
@@ -56,7 +56,14 @@ class MmnormImporter:
 
 
 def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Scan:
-    stored, positions = _npz_arrays(source)
+    arrays = read_npz(source, ["received_signals", "antenna_locations"])
+    stored = arrays["received_signals"]
+    if stored.ndim != 3 or stored.dtype.kind != "c" or not stored.size:
+        expected = "complex (n_positions, n_samples, n_rx)"
+        raise wrong_shape(source, "received_signals", expected, stored)
+    positions = _positions(arrays["antenna_locations"], source, "antenna_locations")
+    what = "antenna_locations and received_signals differ in length"
+    require_equal(what, source, len(stored), len(positions))
     _, n_samples, n_rx = stored.shape
     check = partial(good_rows, keep_good=options.keep_good, where=source)
     good, notes = check([stored], what="positions of received_signals")
@@ -88,18 +95,6 @@ def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Sca
     )
 
 
-def _npz_arrays(source: Path) -> tuple[Array, Floats]:
-    arrays = read_npz(source, ["received_signals", "antenna_locations"])
-    signals = arrays["received_signals"]
-    if signals.ndim != 3 or signals.dtype.kind != "c" or not signals.size:
-        expected = "complex (n_positions, n_samples, n_rx)"
-        raise wrong_shape(source, "received_signals", expected, signals)
-    positions = _positions(arrays["antenna_locations"], source, "antenna_locations")
-    what = "antenna_locations and received_signals differ in length"
-    require_equal(what, source, len(signals), len(positions))
-    return signals, positions
-
-
 def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> Scan:
     files = _recordings(source)
     n_samples = radar.n_samples or N_SAMPLES
@@ -111,7 +106,11 @@ def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> 
     passes = []
     for path, start_s in _start_times(files):
         recording = open_recording(path, known, options)
-        notes += [*recording.notes, *_check_frames(recording, options)]
+        notes += recording.notes
+        if recording.n_frames != N_FRAMES:
+            text, hint = f"{path.name} holds {recording.n_frames} frames", "--keep-good takes them"
+            note_omission(text, options.keep_good, path, hint, expected=N_FRAMES)
+            notes.append(f"{text} instead of {N_FRAMES}")
         track = log_track(
             log,
             recording.n_frames,
@@ -190,15 +189,6 @@ def _start_times(files: list[Path]) -> list[tuple[Path, float | None]]:
     matches = ((path, re.fullmatch(r"adc_data_?(\d+(?:\.\d+)?)", path.stem)) for path in files)
     pairs = [(path, float(match[1]) if match else None) for path, match in matches]
     return sorted(pairs, key=lambda pair: pair[1] or 0.0)
-
-
-def _check_frames(recording: Recording, options: ImportOptions) -> list[str]:
-    if recording.n_frames == N_FRAMES:
-        return []
-    text = f"{recording.source.name} holds {recording.n_frames} frames"
-    hint = "--keep-good takes them"
-    note_omission(text, options.keep_good, recording.source, expected=N_FRAMES, hint=hint)
-    return [f"{text} instead of {N_FRAMES}"]
 
 
 def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLog:
