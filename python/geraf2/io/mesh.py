@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2 import __version__
+from geraf2._memory import require_memory
 from geraf2._short import Short
 from geraf2._types import AnyPath, Array, Bytes, Floats, Ints
 from geraf2._validation import require_shape
@@ -19,7 +20,6 @@ from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.mesh_colours import error_colours
 from geraf2.io.mesh_formats import parse_obj, parse_ply
-from geraf2.io.mesh_limits import require_mesh_size
 from geraf2.io.objects import is_remote, local_copy
 from geraf2.io.points import ply_file
 from geraf2.io.regular import BINARY_BYTES, RECORD_BYTES, read_regular, require_regular
@@ -31,6 +31,8 @@ READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 WRITABLE_SUFFIXES = (".ply", ".glb", ".stl")
 """Mesh formats of `write_mesh`."""
 
+# Text is parsed into objects: a PLY of 130 MB took 1.3 GB, an OBJ of 30 MB .5 GB.
+_BYTES_PER_BYTE = {".obj": 20.0}
 # Vertices beyond are refused: ray queries in single precision take no more.
 _MAX_COORDINATE_M = 1e6
 
@@ -165,7 +167,8 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
             what = f"cannot be read: {error.strerror}"
             raise UserError(what=what, where=source) from error
     _require_readable(source)
-    require_mesh_size(source)
+    needed = _BYTES_PER_BYTE.get(source.suffix.lower(), 12.0) * source.stat().st_size
+    require_memory(needed, "use a mesh of fewer triangles", where=source)
     if not any_unit:
         _require_metres(source)
     loaded = _load(source)

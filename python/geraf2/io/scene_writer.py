@@ -104,12 +104,8 @@ class SceneWriter(ExitStack):
         require_shape("signal", samples, (keep, self._shape[2], *((2,) if self._integers else ())))
         if self._begun is None:
             self._begun = pose
-        values = {
-            "signal": samples,
-            "tx_positions": pose.tx_positions,
-            "rx_positions": pose.rx_positions,
-        }
-        for name, array in values.items():
+        for name in ANTENNA_ARRAYS:
+            array = samples if name == "signal" else getattr(pose, name)
             self._write_antennas(name, index, self._n_begun, array)
             stored = np.asarray(array, dtype=self._arrays[name].dtype)
             self._begun_sums[name] = crc_of(stored, self._begun_sums[name])

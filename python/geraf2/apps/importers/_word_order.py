@@ -100,38 +100,29 @@ def decode_integers(words: Words, order: WordOrder, n_samples: int) -> Words:
 
 def _pack(words: Words, packed: Words, order: WordOrder, n_samples: int) -> None:
     """Copy words into the order (n_chirps, n_rx, n_samples, I and Q), one strided copy a part."""
-    # A single NumPy call, whose inner loop is the short axis, takes 2 to 4 times as long.
     n_rx = order.n_rx
     if order.layout == "iq" and not order.swap_iq:  # I and Q of a sample move together
         pairs = words.view(np.uint32).reshape(-1, n_samples, n_rx)
         packed.view(np.uint32).reshape(-1, n_rx, n_samples)[...] = pairs.transpose(0, 2, 1)
         return
-    lanes: list[tuple[Words, Words]]
-    target: Words
     if order.layout == "2-lane-sequential":  # I(n) I(n+1) Q(n) Q(n+1), receiver after receiver
-        target = packed.reshape(-1, 2, 2)
-        quads = words.reshape(-1, 2, 2)
-        lanes = [(quads[:, 0, side], quads[:, 1, side]) for side in range(2)]
+        source, target = words.reshape(-1, 2, 2), packed.reshape(-1, 2, 2)
+        copies = [(source[:, :, side], target[:, side]) for side in range(2)]
     elif order.layout == "iq-sequential":  # I0 Q0 I1 Q1 ..., receiver after receiver
-        target = packed.reshape(-1, 1, 2)
-        lanes = [(words[0::2], words[1::2])]
+        copies = [(words.reshape(-1, 2), packed.reshape(-1, 2))]
     else:
-        target = packed.reshape(-1, n_rx, n_samples, 2).transpose(0, 2, 1, 3)
-        n_chirps = words.size // (2 * n_rx * n_samples)
-        # Groups of receivers, I and Q, receivers of a group.
-        if order.layout == "4-lane":  # I0 I1 I2 I3 Q0 Q1 Q2 Q3
-            both = words.reshape(n_chirps, n_samples, 1, 2, n_rx)
-        elif order.layout == "iq":  # I0 Q0 I1 Q1 ...
-            both = words.reshape(n_chirps, n_samples, n_rx, 2, 1)
-        else:  # I0 I1 Q0 Q1 I2 I3 Q2 Q3
-            both = words.reshape(n_chirps, n_samples, n_rx // 2, 2, 2)
-        lanes = [
-            (both[:, :, group, 0, side], both[:, :, group, 1, side])
-            for group, side in np.ndindex(both.shape[2], both.shape[4])
-        ]
-    for lane, (in_phase, quadrature) in enumerate(lanes):
-        target[..., lane, int(order.swap_iq)] = in_phase
-        target[..., lane, 1 - int(order.swap_iq)] = quadrature
+        groups = {
+            "4-lane": (1, 2, n_rx),  # I0 I1 I2 I3 Q0 Q1 Q2 Q3
+            "iq": (n_rx, 2, 1),  # I0 Q0 I1 Q1 ...
+            "2-lane-pairs": (n_rx // 2, 2, 2),  # I0 I1 Q0 Q1 I2 I3 Q2 Q3
+        }
+        source = words.reshape(-1, n_samples, *groups[order.layout]).transpose(0, 2, 4, 1, 3)
+        copies = [(source, packed.reshape(source.shape))]
+    # I and Q one after the other: in a single copy the inner loop would be these two, which takes
+    # 2 to 4 times as long.
+    for source, target in copies:
+        for part in range(2):
+            target[..., part ^ order.swap_iq] = source[..., part]
 
 
 _MIN_SAMPLES, _MAX_SAMPLES = 16, 8192

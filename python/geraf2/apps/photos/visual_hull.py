@@ -34,12 +34,8 @@ class Region:
 
     def __post_init__(self) -> None:
         for name in ("low_m", "high_m"):
-            values = tuple(float(value) for value in getattr(self, name))
-            if len(values) != 3:
-                msg = f"{name} must be three coordinates, got {values}"
-                raise ValueError(msg)
             # plain numbers: a tensor of NumPy's would be of double precision
-            object.__setattr__(self, name, values)
+            object.__setattr__(self, name, triple(getattr(self, name)))
         for axis, side in zip("xyz", self.sides_m, strict=True):
             require_positive(f"side along {axis} of the region", side)
 
