@@ -26,7 +26,7 @@ from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.pose_digest import ANTENNA_ARRAYS
 from geraf2.io.samples import NO_SAMPLE, crc_of, stored_integers
 from geraf2.io.toml import write_toml
-from geraf2.io.zarr_files import ZarrArray, write_group
+from geraf2.io.zarr_files import METADATA_NAME, ZarrArray, write_group
 from geraf2.records import RawPose
 
 # Bytes of signal in a chunk: what a part of a pose costs to read.
@@ -83,7 +83,9 @@ class SceneWriter(ExitStack):
                 (self.folder / RADAR_NAME).mkdir()
                 self._write_group()
                 for array in self._arrays.values():
-                    array.write_metadata(self.folder / RADAR_NAME)
+                    (self.folder / RADAR_NAME / array.name).mkdir()
+                    metadata = self.folder / RADAR_NAME / array.name / METADATA_NAME
+                    metadata.write_text(array.text)
                 yield
                 self._finish()
         except _Unchanged:

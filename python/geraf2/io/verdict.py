@@ -1,5 +1,6 @@
 """Verdict on a run: how far its result can be trusted, why, and what to do about it."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
@@ -73,9 +74,7 @@ class Verdict:
         if not verdicts:
             return None
         order = sorted(verdicts, key=lambda name: -verdicts[name].probability_of_failure)
-        right = 1.0
-        for one in verdicts.values():
-            right *= 1.0 - one.probability_of_failure
+        right = math.prod(1.0 - one.probability_of_failure for one in verdicts.values())
         return cls(
             trust=max((one.trust for one in verdicts.values()), key=list(Trust).index),
             probability_of_failure=1.0 - right,

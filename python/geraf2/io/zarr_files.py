@@ -32,12 +32,6 @@ class ZarrArray:
     chunks: tuple[int, ...]
     attributes: Mapping[str, str] = field(default_factory=dict)
 
-    def write_metadata(self, group: Path) -> None:
-        """Make the array's folder in that of its group."""
-        folder = group / self.name
-        folder.mkdir()
-        (folder / METADATA_NAME).write_text(self.text)
-
     @property
     def text(self) -> str:
         """Metadata of the array."""

@@ -152,8 +152,7 @@ def write_report(
         *pictures,
         *_evaluation(run, folder, answer),
         *_renderings(folder),
-        *_losses(log, figures),
-        *_growth(log, figures),
+        *_histories(log, figures),
         *run_sections.tables(run.record.stages, run.metrics, run.surface),
         *run_sections.provenance(run.record, known, log),
         *run_sections.settings(run.config_text, run.record.stages),
@@ -286,9 +285,8 @@ def _draw(
     """Sections with pictures, in order."""
     sections: list[Section] = []
 
-    def add(name: str, title: str, picture: Path, note: str) -> None:
-        parts = (html.picture(picture, name=name),)
-        sections.append(Section(name, title, note=note, parts=parts))
+    def add(*about: Any) -> None:
+        sections.append(_pictured(*about))
 
     content = run.surface
     if content is not None:
@@ -364,27 +362,24 @@ def _renderings(folder: Path) -> list[Section]:
     return [Section("rendered", "Rendered heat maps", note=note, parts=tuple(parts))]
 
 
-def _losses(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
-    """Section of the losses of a training; empty without one."""
-    curves = run_sections.losses(log)
-    if not curves:
-        return []
-    loss_curves(curves, figures / "losses.png")
-    note = "Terms of the loss over the steps of the training, means since the line before."
-    picture = html.picture(figures / "losses.png", name="training")
-    moved = run_sections.level_moved(log)
-    return [Section("training", "Training", note=f"{note} {moved}".strip(), parts=(picture,))]
+def _pictured(name: str, title: str, picture: Path, note: str) -> Section:
+    return Section(name, title, note=note, parts=(html.picture(picture, name=name),))
 
 
-def _growth(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
-    """Section of the surface after each plane; empty unless it grew with the scan."""
-    growth = run_sections.growth(log)
-    if not growth:
-        return []
-    growth_curves(growth, figures / "growth.png")
-    note = "Expected error and seen share of the surface after each plane, while the scan was made."
-    picture = html.picture(figures / "growth.png", name="growth")
-    return [Section("growth", "Growth", note=note, parts=(picture,))]
+def _histories(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
+    """Sections of the losses of a training, and of a surface that grew with the scan."""
+    sections = []
+    if losses := run_sections.losses(log):
+        loss_curves(losses, figures / "losses.png")
+        note = "Terms of the loss over the steps of the training, means since the line before. "
+        note = (note + run_sections.level_moved(log)).strip()
+        sections.append(_pictured("training", "Training", figures / "losses.png", note))
+    if growth := run_sections.growth(log):
+        growth_curves(growth, figures / "growth.png")
+        note = "Expected error and seen share of the surface after each plane, while the scan was "
+        note += "made."
+        sections.append(_pictured("growth", "Growth", figures / "growth.png", note))
+    return sections
 
 
 def _kept_pictures(run: RunArtefacts, figures: Path) -> frozenset[str]:

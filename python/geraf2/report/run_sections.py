@@ -164,8 +164,14 @@ def tables(
     """Sections on calibration, and on numbers of surface, fit and stages."""
     sections: list[Section] = []
     calibration = stages.get("calibration")
-    if calibration is not None:
-        sections += _calibration(calibration.numbers)
+    found = {} if calibration is None else calibration.numbers
+    if found.get("applied") or found.get("left"):
+        note = (
+            "Unknown parameters of the capture, with one standard uncertainty. Each is corrected "
+            "only if held-out echoes fit better afterwards."
+        )
+        parts = (html.part("calibration", found),)
+        sections.append(Section("calibration", "Calibration", note=note, parts=parts))
     about_file = ("mesh_digest", "format", "format_version", "generator")
     other = html.scalar_rows(metrics, {*MeshMetrics.__dataclass_fields__, *about_file})
     if content is not None or other or stages:
@@ -174,17 +180,6 @@ def tables(
         note = "The mesh in numbers, and time and memory of each stage."
         sections.append(Section("numbers", "Numbers", note=note, parts=(numbers,)))
     return sections
-
-
-def _calibration(numbers: Mapping[str, Any]) -> list[Section]:
-    if not (numbers.get("applied") or numbers.get("left")):
-        return []
-    note = (
-        "Unknown parameters of the capture, with one standard uncertainty. Each is corrected only "
-        "if held-out echoes fit better afterwards."
-    )
-    found = html.part("calibration", numbers)
-    return [Section("calibration", "Calibration", note=note, parts=(found,))]
 
 
 def provenance(

@@ -143,11 +143,10 @@ def frame_clock(
     missing = (times_s[-1] - times_s[0]) / period_s - numbers[-1]
     if missing > 0.01 * len(numbers) or np.diff(times_s).max() > (2 - 0.1) * period_s:
         numbers = np.cumsum([0, *np.maximum(1, np.rint(np.diff(times_s) / period_s))]).astype(int)
-    for _ in range(2):
-        period_s, start_s = np.polyfit(numbers, times_s, 1)
-        late = np.abs(times_s - start_s - period_s * numbers)
-        near = late <= max(4 * float(np.median(late)), 1e-6)
-        period_s, start_s = np.polyfit(numbers[near], times_s[near], 1)
+    period_s, start_s = np.polyfit(numbers, times_s, 1)
+    late = np.abs(times_s - start_s - period_s * numbers)
+    near = late <= max(4 * float(np.median(late)), 1e-6)
+    period_s, start_s = np.polyfit(numbers[near], times_s[near], 1)
     return numbers, float(start_s), float(period_s)
 
 

@@ -220,10 +220,8 @@ def _split(name: str) -> tuple[tuple[str, ...], str | None]:
 def quantity_of(name: str) -> tuple[str, float] | None:
     """Quantity and factor to SI of a column of this name; None for what is not read."""
     words, unit = _split(name)
-    return ("time", _TIMES[unit]) if unit and not words else _named(list(words), unit)
-
-
-def _named(words: list[str], unit: str | None) -> tuple[str, float] | None:
+    if unit and not words:
+        return "time", _TIMES[unit]
     others, last = set(words[:-1]), words[-1] if words else ""
     if last in _TIME_WORDS and others <= _TIME_WORDS | _TIME_CONTEXT:
         return ("time", _TIMES[unit or "s"]) if unit is None or unit in _TIMES else None

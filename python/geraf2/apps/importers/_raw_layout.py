@@ -336,11 +336,10 @@ def _choose_order(
     chosen = _best_order({order: one_sided[order] for order in allowed})
     if one_sided[best] <= CONTRADICTION * one_sided[chosen]:
         return chosen, ()
-    names = (
-        (str(chosen), str(best))
-        if chosen.n_rx == best.n_rx
-        else tuple(f"{order}, {order.n_rx} receivers," for order in (chosen, best))
-    )
+    names = [
+        str(order) if chosen.n_rx == best.n_rx else f"{order}, {order.n_rx} receivers,"
+        for order in (chosen, best)
+    ]
     text = (
         f"as {names[0]} the energy of the two sides of the spectrum is {one_sided[chosen]:.3g} : "
         f"1, as {names[1]} {one_sided[best]:.3g} : 1"

@@ -302,11 +302,10 @@ def _from_profile(text: str, path: Path) -> TiConfig:
         values = [to_number(word, f"line {number}, {name}", path) for word in words]
         require_count(f"line {number}: {name}", len(values), least, most, path)
         lines.setdefault(name, []).append(values)
-    if len(lines.get("profileCfg", [])) != 1:
-        raise UserError(
-            what="must have one line profileCfg", where=path, got=len(lines.get("profileCfg", []))
-        )
-    (profile,) = lines["profileCfg"]
+    profiles = lines.get("profileCfg", [])
+    if len(profiles) != 1:
+        raise UserError(what="must have one line profileCfg", where=path, got=len(profiles))
+    (profile,) = profiles
     frame = lines.get("frameCfg", [[]])[-1]
     if len(frame) == 8 and frame.pop(4) != profile[9]:
         raise UserError(

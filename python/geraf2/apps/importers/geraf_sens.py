@@ -103,8 +103,7 @@ def _find_frames(source: Path) -> tuple[list[Path], list[str]]:
     if not source.is_dir():
         raise UserError(what="is not a folder", where=source, expected="a capture with mf/ in it")
     root = source / "mf" if (source / "mf").is_dir() else source
-    folders: list[Path] = []
-    skipped: list[Path] = []
+    folders, skipped = list[Path](), list[Path]()
     for entry in root.iterdir():
         if FRAME_NAME.fullmatch(entry.name) and not entry.is_dir():
             what = "is a link that leads nowhere" if entry.is_symlink() else "is no folder"
@@ -268,18 +267,14 @@ def _belong_together(group: Sequence[Frame], frame: Frame) -> bool:
 
 def read_capture_json(source: Path) -> dict[str, Any]:
     """Parameters of a capture; {} without the file."""
-    candidates = [source / "capture.json"]
-    if source.name == "mf":  # the user named the inner folder
-        candidates.append(source.parent / "capture.json")
-    for path in candidates:
-        if not path.is_file():
-            continue
-        values = read_object(path)
-        for key in values:  # misspelt ones; others belong to other programs
-            if key not in _KNOWN_KEYS and (meant := nearest_name(key, _KNOWN_KEYS)):
-                raise UserError(what=f"unknown key {key!r}{meant}", where=path)
-        return values
-    return {}
+    path = source / "capture.json"
+    if source.name == "mf" and not path.is_file():  # the user named the inner folder
+        path = source.parent / "capture.json"
+    values = read_object(path) if path.is_file() else {}
+    for key in values:  # misspelt ones; others belong to other programs
+        if key not in _KNOWN_KEYS and (meant := nearest_name(key, _KNOWN_KEYS)):
+            raise UserError(what=f"unknown key {key!r}{meant}", where=path)
+    return values
 
 
 def capture_manifest(

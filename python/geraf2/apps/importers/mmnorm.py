@@ -101,10 +101,11 @@ def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> 
     of_board = {"layout": radar.raw.layout or "4-lane", "n_rx": radar.raw.n_rx or 4}
     raw = radar.raw.model_copy(update=of_board)
     known = radar.model_copy(update={"n_samples": n_samples, "raw": raw})
-    log = _robot_log(files[0], source, options)
+    folder = files[0][0].parent
+    log = _robot_log(folder, source, options)
     notes: list[str] = list(log.notes)
     passes = []
-    for path, start_s in _start_times(files):
+    for path, start_s in files:
         recording = open_recording(path, known, options)
         notes += recording.notes
         if recording.n_frames != N_FRAMES:
@@ -121,7 +122,7 @@ def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> 
         notes += [note for note in track.notes if note not in notes]
         passes.append((recording, track))
     n_rx = passes[0][0].evidence.order.n_rx
-    info = _experiment_info(files[0].parent, source)
+    info = _experiment_info(folder, source)
     board = _board(radar, info, log.positions, n_rx, source)
     manifest, more = _scene_manifest(source, radar, n_samples)
 
@@ -167,7 +168,8 @@ def _scene_manifest(source: Path, radar: RadarManifest, n_samples: int) -> tuple
     )
 
 
-def _recordings(source: Path) -> list[Path]:
+def _recordings(source: Path) -> list[tuple[Path, float | None]]:
+    """Files of raw samples in the order of the time in their names, and that time [s]."""
     files = sorted(source.rglob("adc_data*.bin"))
     if not files:
         raise UserError(
@@ -178,23 +180,17 @@ def _recordings(source: Path) -> list[Path]:
     folders = sorted({path.parent for path in files})
     if len(folders) > 1:
         names = ", ".join(str(folder.relative_to(source)) for folder in folders[:2])
-        raise UserError(
-            what=f"holds {len(folders)} experiments: {names}", where=source, hint="name one of them"
-        )
-    return files
-
-
-def _start_times(files: list[Path]) -> list[tuple[Path, float | None]]:
-    """Files in the order of the time in their names."""
+        what = f"holds {len(folders)} experiments: {names}"
+        raise UserError(what=what, where=source, hint="name one of them")
     matches = ((path, re.fullmatch(r"adc_data_?(\d+(?:\.\d+)?)", path.stem)) for path in files)
     pairs = [(path, float(match[1]) if match else None) for path, match in matches]
     return sorted(pairs, key=lambda pair: pair[1] or 0.0)
 
 
-def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLog:
-    """Positions of the transmitter, from the nearest antenna*.npz above the recording."""
+def _robot_log(within: Path, source: Path, options: ImportOptions) -> RobotLog:
+    """Positions of the transmitter, from the nearest antenna*.npz above a folder."""
     folder, found = source, list[Path]()
-    for folder in _folders_above(recording.parent, source):
+    for folder in _folders_above(within, source):
         inside = folder.is_relative_to(source.resolve())
         found = sorted(folder.rglob("antenna*.npz") if inside else folder.glob("antenna*.npz"))
         if found:

@@ -106,15 +106,11 @@ class PhotoTrainer:
         """Continue with this surface and a new optimiser."""
         self.surface = surface
         config, field = self.config, surface.field
-        self._rates = (
-            config.distance_rate * field.grid.spacing_m,
-            config.feature_rate,
-            config.network_rate,
-        )
+        distance_rate = config.distance_rate * field.grid.spacing_m
         groups: list[dict[str, Any]] = [
-            {"params": [field.distance.values]},
-            {"params": [field.features.table]},
-            {"params": list(field.view.parameters())},
+            {"params": [field.distance.values], "rate": distance_rate},
+            {"params": [field.features.table], "rate": config.feature_rate},
+            {"params": list(field.view.parameters()), "rate": config.network_rate},
         ]
         self.optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
@@ -149,8 +145,8 @@ class PhotoTrainer:
         # colour fits any shape.
         self.surface.field.view_dependent = number > 0 or len(stages) == 1
         falling = config.final_rate**share if is_last else 1.0
-        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
-            group["lr"] = rate * falling
+        for group in self.optimiser.param_groups:
+            group["lr"] = group["rate"] * falling
         if number == 0 and share < config.colour_first:
             self.optimiser.param_groups[0]["lr"] = 0.0
 

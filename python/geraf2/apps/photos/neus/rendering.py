@@ -65,15 +65,15 @@ def sample_edges(
         first, last = inv_s[0], max(inv_s[0], _LAST_ROUND * inv_s[1])
         for number in range(config.n_rounds):
             sharpness = first * (last / first) ** (number / max(config.n_rounds - 1, 1))
-            sdf = _sample_sdf(field, *rays, edges)
+            points = _points(*rays, middle_and_step(edges)[0])
+            sdf = field.value(points.reshape(-1, 3)).reshape(points.shape[:2])
             edges = importance_edges(edges, sdf, sharpness, config.n_fine, generator)
     return edges
 
 
-def _sample_sdf(field: ColouredGrid, origins: Tensor, directions: Tensor, edges: Tensor) -> Tensor:
-    middles, _ = middle_and_step(edges)
-    points = origins[:, None] + middles[:, :, None] * directions[:, None]
-    return field.value(points.reshape(-1, 3)).reshape(middles.shape)
+def _points(origins: Tensor, directions: Tensor, depths: Tensor) -> Tensor:
+    """Points on rays (n_rays, 3) at depths (n_rays, n) [m], (n_rays, n, 3) [m]."""
+    return origins[:, None] + depths[:, :, None] * directions[:, None]
 
 
 def render_rays(
@@ -94,7 +94,7 @@ def render_rays(
     origins, directions = rays
     middles, steps = middle_and_step(edges)
     n_rays, n = middles.shape
-    points = origins[:, None] + middles[:, :, None] * directions[:, None]
+    points = _points(origins, directions, middles)
     sample = field.surface_sample(points.reshape(-1, 3))
     gradient = sample.gradient.reshape(n_rays, n, 3)
     cos = -torch.relu(-(gradient * directions[:, None]).sum(dim=2))
