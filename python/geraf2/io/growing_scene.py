@@ -12,16 +12,8 @@ import numpy as np
 
 from geraf2._types import Array
 from geraf2.errors import UserError
+from geraf2.io import container
 from geraf2.io.atomic import sweep_folder, write_bytes_atomic, write_text_atomic
-from geraf2.io.container import (
-    CHECKSUMS,
-    MANIFEST_NAME,
-    MAX_PLANES,
-    RADAR_NAME,
-    SceneReader,
-    is_scene,
-    read_scene_manifest,
-)
 from geraf2.io.manifest import SceneManifest
 from geraf2.io.outputs import require_folder
 from geraf2.io.pose_digest import ANTENNA_ARRAYS
@@ -49,9 +41,9 @@ class GrowingScene:
         self._counted: dict[str, list[Any]] = {"antenna_count": [], "angle": []}
         self._sums: dict[str, list[str]] = {}
         self._shape, self._n_chunk = (0, 0, manifest.waveform.n_samples), 0
-        require_folder(self.path, "scene", own=is_scene(self.path) or self._is_begun)
+        require_folder(self.path, "scene", own=container.is_scene(self.path) or self._is_begun)
         sweep_folder(self.path)
-        if is_scene(self.path):
+        if container.is_scene(self.path):
             self._continue()
 
     def __len__(self) -> int:
@@ -59,16 +51,18 @@ class GrowingScene:
 
     @property
     def _group(self) -> Path:
-        return self.path / RADAR_NAME
+        return self.path / container.RADAR_NAME
 
     @property
     def _is_begun(self) -> bool:
         """Whether the folder holds nothing but a first plane that was not finished."""
-        return self.path.is_dir() and {entry.name for entry in self.path.iterdir()} <= {RADAR_NAME}
+        return self.path.is_dir() and {entry.name for entry in self.path.iterdir()} <= {
+            container.RADAR_NAME
+        }
 
     def _continue(self) -> None:
         """Take over the planes of the folder; those that are half written are dropped."""
-        known = read_scene_manifest(self.path)
+        known = container.read_scene_manifest(self.path)
         if (known.waveform, known.walls, known.frame) != (
             self.manifest.waveform,
             self.manifest.walls,
@@ -91,18 +85,18 @@ class GrowingScene:
         self._write_metadata(
             scene_arrays(self._shape, self._n_chunk, integers=False, n_counted=_N_COUNTED)
         )
-        reader = SceneReader(self.path)
+        reader = container.SceneReader(self.path)
         self._counted = {
             "antenna_count": reader.n_antennas.tolist(),
             "angle": reader.angles_deg.tolist(),
         }
-        self._sums = {name: list(sums) for name, sums in attributes[CHECKSUMS].items()}
+        self._sums = {name: list(sums) for name, sums in attributes[container.CHECKSUMS].items()}
 
     def append(self, pose: Pose) -> None:
         """Write the next plane; it counts when this returns, and after an error nothing changed."""
         index, n_antennas = len(self), pose.n_antennas
-        if index >= MAX_PLANES:
-            raise UserError(what="too many planes", where=self.path, expected=MAX_PLANES)
+        if index >= container.MAX_PLANES:
+            raise UserError(what="too many planes", where=self.path, expected=container.MAX_PLANES)
         n_chunk = self._n_chunk or max(1, n_antennas)
         shape = (index + 1, max(n_antennas, self._shape[1]), self._shape[2])
         arrays = scene_arrays(shape, n_chunk, integers=False, n_counted=_N_COUNTED)
@@ -130,7 +124,7 @@ class GrowingScene:
         group = group_text(group_attributes(names, sums))
         write_text_atomic(self._group / METADATA_NAME, group)
         if not index:
-            write_toml(self.path / MANIFEST_NAME, self.manifest)
+            write_toml(self.path / container.MANIFEST_NAME, self.manifest)
         self._names, self._sums, self._counted = names, sums, counted
         self._shape, self._n_chunk = shape, n_chunk
 
@@ -147,7 +141,7 @@ class GrowingScene:
 
 def may_grow(scene: Path) -> bool:
     """Whether planes may still be appended to a scene: it was not written whole."""
-    counts = _metadata(scene / RADAR_NAME / "antenna_count")
+    counts = _metadata(scene / container.RADAR_NAME / "antenna_count")
     return bool(counts["chunk_grid"]["configuration"]["chunk_shape"] == [_N_COUNTED])
 
 

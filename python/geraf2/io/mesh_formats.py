@@ -68,17 +68,18 @@ def parse_obj(data: bytes) -> RawMesh:
 def parse_ply(data: bytes) -> RawMesh:
     """Mesh of a PLY: faces of any number of corners, and strips."""
     elements, order, at = _ply_header(data)
-    rows: dict[str, dict[str, Any]] = {}
-    words = [] if order else data[at:].split()
-    if not order:
+    is_text = not order
+    if is_text:  # is read as a binary file of doubles
         _require_rows(data[at:], data.count(b"\n", 0, at), elements)
-        at = 0
+        data, order, at = np.array(data[at:].split(), dtype=np.float64).tobytes(), "=", 0
+        elements = [
+            (name, count, [(one, "f8", length and "f8") for one, _, length in properties])
+            for name, count, properties in elements
+        ]
+    rows: dict[str, dict[str, Any]] = {}
     for element in elements:
-        if order:
-            rows[element[0]], at = _binary_rows(data, order, at, element)
-        else:
-            rows[element[0]], at = _text_rows(words, at, element)
-    n_left = len(data[at:].strip()) if order else 0
+        rows[element[0]], at = _binary_rows(data, order, at, element)
+    n_left = 0 if is_text else len(data[at:].strip())
     if n_left:
         msg = f"{n_left} bytes stand behind the last row that the header states"
         raise ValueError(msg)
@@ -163,26 +164,6 @@ def _require_rows(text: bytes, n_before: int, elements: Sequence[_Element]) -> N
     for number, _ in row:
         msg = f"line {number} stands behind the last row that the header states"
         raise ValueError(msg)
-
-
-def _text_rows(words: list[bytes], at: int, element: _Element) -> tuple[dict[str, Any], int]:
-    """Values of each property, and the word behind the last row."""
-    name, count, properties = element
-    if not any(length for *_, length in properties):
-        stop = at + count * len(properties)
-        if stop > len(words):
-            raise _too_short(name, count, (len(words) - at) // len(properties))
-        table = np.array(words[at:stop], dtype=np.float64).reshape(count, len(properties))
-        return {one: table[:, k] for k, (one, *_) in enumerate(properties)}, stop
-
-    def take(_: str, n: int, row: int) -> list[float]:
-        nonlocal at
-        if n < 0 or at + n > len(words):
-            raise _too_short(name, count, row)
-        at += n
-        return [float(word) for word in words[at - n : at]]
-
-    return _row_by_row(element, take), at
 
 
 def _row_by_row(

@@ -10,17 +10,8 @@ from numpy.typing import NDArray
 
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
+from geraf2.io import container
 from geraf2.io.atomic import atomic_folder
-from geraf2.io.container import (
-    ARRAY_TYPES,
-    CHECKSUMS,
-    COMPLEX_NAN,
-    MANIFEST_NAME,
-    RADAR_NAME,
-    SceneReader,
-    is_scene,
-    verify_scene,
-)
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.pose_digest import ANTENNA_ARRAYS
@@ -68,9 +59,13 @@ class SceneWriter(ExitStack):
         self._arrays = scene_arrays(self._shape, self._n_chunk, integers=integers)
         self._counts: list[int] = []
         self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
-        self._checksums: dict[str, list[str]] = {name: [] for name in ARRAY_TYPES}
+        self._checksums: dict[str, list[str]] = {name: [] for name in container.ARRAY_TYPES}
         self._angles: list[float] = []
-        require_folder(self.path, "scene", own=is_scene(self.path))
+        require_folder(self.path, "scene", own=container.is_scene(self.path))
+
+    @property
+    def _group(self) -> Path:
+        return self.folder / container.RADAR_NAME
 
     def __enter__(self) -> Self:
         self.enter_context(self._writing())
@@ -80,12 +75,11 @@ class SceneWriter(ExitStack):
     def _writing(self) -> Iterator[None]:
         try:
             with atomic_folder(self.path) as self.folder:
-                (self.folder / RADAR_NAME).mkdir()
+                self._group.mkdir()
                 self._write_group()
                 for array in self._arrays.values():
-                    (self.folder / RADAR_NAME / array.name).mkdir()
-                    metadata = self.folder / RADAR_NAME / array.name / METADATA_NAME
-                    metadata.write_text(array.text)
+                    (self._group / array.name).mkdir()
+                    (self._group / array.name / METADATA_NAME).write_text(array.text)
                 yield
                 self._finish()
         except _Unchanged:
@@ -129,12 +123,11 @@ class SceneWriter(ExitStack):
             number, inside = divmod(first + done, self._n_chunk)
             some = array[done : done + self._n_chunk - inside]
             after = (0,) * (array.ndim - 1)
-            self._arrays[name].append(self.folder / RADAR_NAME, (index, number, *after), some)
+            self._arrays[name].append(self._group, (index, number, *after), some)
             done += len(some)
 
     def _end_pose(self, pose: RawPose, n_antennas: int) -> None:
-        group, index = self.folder / RADAR_NAME, len(self._names)
-        self._arrays["axes"].append(group, (index, 0, 0), pose.axes)
+        self._arrays["axes"].append(self._group, (len(self._names), 0, 0), pose.axes)
         self._counts.append(n_antennas)
         self._angles.append(angle_of(pose))
         self._names.append(pose.name)
@@ -148,23 +141,22 @@ class SceneWriter(ExitStack):
             msg = f"{self._shape[0]} planes were announced, got {len(self._names)}"
             raise ValueError(msg)
         self._write_group()
-        group = self.folder / RADAR_NAME
         if self._names:
-            self._arrays["antenna_count"].append(group, (0,), np.array(self._counts))
-            self._arrays["angle"].append(group, (0,), np.array(self._angles))
-        write_toml(self.folder / MANIFEST_NAME, self.manifest)
-        if is_scene(self.path) and not self._overwrite:
+            self._arrays["antenna_count"].append(self._group, (0,), np.array(self._counts))
+            self._arrays["angle"].append(self._group, (0,), np.array(self._angles))
+        write_toml(self.folder / container.MANIFEST_NAME, self.manifest)
+        if container.is_scene(self.path) and not self._overwrite:
             self._compare_with_existing()
 
     def _compare_with_existing(self) -> None:
         try:
-            old = SceneReader(self.path)
+            old = container.SceneReader(self.path)
             same = (
                 old.manifest.waveform == self.manifest.waveform
                 and old.manifest.walls == self.manifest.walls
                 and old.manifest.frame == self.manifest.frame
-                and old.holds_same_poses(SceneReader(self.folder))
-                and verify_scene(self.path) == old.n_poses
+                and old.holds_same_poses(container.SceneReader(self.folder))
+                and container.verify_scene(self.path) == old.n_poses
             )
         except UserError:
             same = False
@@ -173,7 +165,7 @@ class SceneWriter(ExitStack):
         require_consent(self.path, "another scene", overwrite=False)
 
     def _write_group(self) -> None:
-        write_group(self.folder / RADAR_NAME, group_attributes(self._names, self._checksums))
+        write_group(self._group, group_attributes(self._names, self._checksums))
 
 
 def group_attributes(names: Sequence[str], sums: Mapping[str, Sequence[str]]) -> dict[str, Any]:
@@ -182,7 +174,7 @@ def group_attributes(names: Sequence[str], sums: Mapping[str, Sequence[str]]) ->
         "format": "geraf2-radar",
         "version": SCENE_VERSION,
         "pose_names": list(names),
-        CHECKSUMS: {name: list(sums[name]) for name in ARRAY_TYPES},
+        container.CHECKSUMS: {name: list(sums[name]) for name in container.ARRAY_TYPES},
     }
 
 
@@ -214,7 +206,7 @@ def scene_arrays(
     """
     n_poses, n_antennas, n_samples = shape
     nan, positions = float("nan"), ("<f8", "pose antenna xyz", (n_antennas, 3))
-    kind, fill = ("<i2", int(NO_SAMPLE)) if integers else ("<c8", COMPLEX_NAN)
+    kind, fill = ("<i2", int(NO_SAMPLE)) if integers else ("<c8", container.COMPLEX_NAN)
     samples = (n_antennas, n_samples, 2) if integers else (n_antennas, n_samples)
     sampled = "pose antenna sample" + " part" * integers
     table: dict[str, tuple[str, str, tuple[int, ...], complex, str, str]] = {

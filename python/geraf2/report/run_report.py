@@ -23,7 +23,7 @@ from geraf2.io.planes import load_planes
 from geraf2.io.run_folder import RunFolder
 from geraf2.io.text import read_text
 from geraf2.io.verdict import not_determined
-from geraf2.report import html, run_sections
+from geraf2.report import html, run_sections, view3d
 from geraf2.report.answer import Answer, answer_of
 from geraf2.report.figures import (
     error_curves,
@@ -37,14 +37,6 @@ from geraf2.report.figures import (
 from geraf2.report.outlines import shadow_pictures
 from geraf2.report.run_sections import Section, read_log, read_object
 from geraf2.report.stored_scores import read_metrics, read_psnr
-from geraf2.report.view3d import (
-    NOTHING,
-    Around,
-    content_attributes,
-    scene_json,
-    thin_mesh,
-    view_scene,
-)
 from geraf2.report.view_layers import box_faces, heat_map, read_heat_map, signed_distance
 from geraf2.scene import Grid
 from geraf2.surfaces.isosurface import signed_distances
@@ -143,7 +135,7 @@ def write_report(
     copy = _truth_copy(run, folder, truth, bool(kept), num_threads)
     view = None
     if run.surface is not None:
-        view = scene_json(_view(run, folder, copy, heatmap, num_threads))
+        view = view3d.scene_json(_view(run, folder, copy, heatmap, num_threads))
     pictures = _draw(run, figures, kept, truth, heatmap, num_threads)
     answer = answer_of(run.content, run.glints, run.record.numbers, run.metrics, run.record.verdict)
     sections = [
@@ -187,7 +179,7 @@ def run_view(run_dir: AnyPath) -> str | None:
     return html.render_template(
         "view_page.html",
         title=run_folder.place_of(folder),
-        views=[("", scene_json(scene), run.record.verdict)],
+        views=[("", view3d.scene_json(scene), run.record.verdict)],
         fallback=_NO_VIEW.split(";", maxsplit=1)[0] + ".",
         is_tall=False,
     )
@@ -219,7 +211,7 @@ def _view(
     """Scene of the 3D view, with slices of the heat map where there is one."""
     attributes = []
     if run.surface is not None:
-        attributes = content_attributes(
+        attributes = view3d.content_attributes(
             run.surface,
             glints=run.glints,
             box=run.box,
@@ -232,7 +224,7 @@ def _view(
         volumes = [read_heat_map(stored)]
     if with_field and run.sdf is not None:
         volumes.append(signed_distance(run.sdf))
-    around = Around(
+    around = view3d.Around(
         box=run.box,
         truth=None if copy is None else copy[0],
         glints=run.glints,
@@ -240,8 +232,8 @@ def _view(
         faces=box_faces(run.record.numbers.get("box", {})),
         volumes=volumes,
     )
-    content = run.surface or NOTHING
-    return view_scene(content, attributes, around, name=run.record.scene_name or "view")
+    content = run.surface or view3d.NOTHING
+    return view3d.view_scene(content, attributes, around, name=run.record.scene_name or "view")
 
 
 def _truth_copy(
@@ -257,7 +249,7 @@ def _truth_copy(
         return None
     if truth is not None and truth.faces.shape[0]:
         distances = signed_distances(truth, run.surface.vertices, num_threads=num_threads)
-        kept, faces = thin_mesh(truth.vertices, truth.faces, _MAX_TRUTH_FACES)
+        kept, faces = view3d.thin_mesh(truth.vertices, truth.faces, _MAX_TRUTH_FACES)
         thin = TriangleMesh(vertices=truth.vertices[kept], faces=faces)
         arrays = {"vertices": thin.vertices, "faces": faces, "distances_m": distances}
         write_npz_atomic(path, arrays)

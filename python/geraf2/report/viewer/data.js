@@ -20,10 +20,7 @@ function stretched({ low, step, values }) {
 function readMesh(raw) {
   const positions = stretched(raw.positions);
   const indices = Uint32Array.from(numbers(raw.indices));
-  const attributes = (raw.attributes || []).map((attribute) => ({
-    ...attribute,
-    values: stretched(attribute.values),
-  }));
+  const attributes = raw.attributes.map((attribute) => ({ ...attribute, values: stretched(attribute.values) }));
   return {
     ...raw,
     positions,
@@ -33,8 +30,6 @@ function readMesh(raw) {
     attributes,
     normals: vertexNormals(positions, indices),
     shade: raw.shade ? numbers(raw.shade) : new Uint8Array(positions.length / 3).fill(255),
-    opacity: raw.opacity,
-    visible: raw.visible,
     edges: raw.edges ? sharpEdges(positions, indices) : null,
   };
 }
@@ -83,8 +78,7 @@ const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) /
 // Position of a value on the scale of its attribute, 0 to 1.
 function onScale(attribute, value) {
   if (attribute.classes) return (value % attribute.colours.length + 0.5) / attribute.colours.length;
-  const shown = attribute.absolute ? Math.abs(value) : value;
-  return clamp((shown - attribute.range[0]) / (attribute.range[1] - attribute.range[0]), 0, 1);
+  return clamp((value - attribute.range[0]) / (attribute.range[1] - attribute.range[0]), 0, 1);
 }
 
 // Text of a number, zero without a sign.
