@@ -376,14 +376,10 @@ def _attribute(attribute: Attribute, kept: Ints) -> dict[str, Any]:
     else:
         stored = quantise(values, "<u2")
     return {
-        "label": attribute.label,
-        "unit": attribute.unit,
+        **{name: getattr(attribute, name) for name in ("label", "unit", "digits", "sides", "note")},
         "range": list(attribute.limits),
-        "digits": attribute.digits,
-        "sides": attribute.sides,
         "classes": attribute.classes or None,
         "colours": attribute.colours or _scale_colours(attribute.colour_map),
-        "note": attribute.note,
         "values": stored,
     }
 

@@ -15,7 +15,7 @@ from tempfile import TemporaryFile
 from typing import IO, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from geraf2._types import Bools, Bytes, Floats, Ints
 from geraf2.apps.importers import ImportOptions
@@ -395,14 +395,9 @@ def _log_of_tree(
     times = times[(times >= begin) & (times <= end)]
     position, turn = np.zeros((len(times), 3)), Rotation.identity(len(times))
     for table in tables:  # from the radar to the fixed frame
-        turns = Rotation.from_quat(table[:, 4:])
-        if len(table) > 1:
-            own = Slerp(table[:, 0], turns)(times)
-            shift = [np.interp(times, table[:, 0], table[:, axis]) for axis in (1, 2, 3)]
-            move = np.stack(shift, axis=1)
-        else:
-            own, move = turns[0], table[0, 1:4]
-        position, turn = own.apply(position) + move, own * turn
+        link = RobotLog.of_poses(where, table[:, _W_FIRST])
+        own = link.rotations_at(times)
+        position, turn = own.apply(position) + link.positions_at(times), own * turn
     text = f"{' and '.join(topics)}, {chain[-1]} to {radar}, {len(times)} poses"
-    link = np.column_stack([times, position, turn.as_quat()])
-    return RobotLog.of_poses(where, link[:, _W_FIRST]), text
+    whole = np.column_stack([times, position, turn.as_quat()])
+    return RobotLog.of_poses(where, whole[:, _W_FIRST]), text
