@@ -81,7 +81,17 @@ class SceneWriter(ExitStack):
                     (self._group / array.name).mkdir()
                     (self._group / array.name / METADATA_NAME).write_text(array.text)
                 yield
-                self._finish()
+                if len(self._names) != self._shape[0] or self._begun is not None:
+                    msg = f"{self._shape[0]} planes were announced, got {len(self._names)}"
+                    raise ValueError(msg)
+                self._write_group()
+                if self._names:
+                    counts, angles = np.array(self._counts), np.array(self._angles)
+                    self._arrays["antenna_count"].append(self._group, (0,), counts)
+                    self._arrays["angle"].append(self._group, (0,), angles)
+                write_toml(self.folder / container.MANIFEST_NAME, self.manifest)
+                if container.is_scene(self.path) and not self._overwrite:
+                    self._compare_with_existing()
         except _Unchanged:
             self.unchanged = True
 
@@ -112,7 +122,15 @@ class SceneWriter(ExitStack):
                 self._write_antennas(name, index, n_antennas, padding)
         self._n_begun = n_so_far
         if n_so_far == n_antennas:
-            self._end_pose(self._begun, n_antennas)
+            whole = self._begun  # but for its antennas
+            self._arrays["axes"].append(self._group, (index, 0, 0), whole.axes)
+            self._counts.append(n_antennas)
+            self._angles.append(angle_of(whole))
+            self._names.append(whole.name)
+            for name, value in checksums(whole, n_antennas, self._begun_sums).items():
+                self._checksums[name].append(value)
+            self._begun, self._n_begun = None, 0
+            self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
 
     def _write_antennas(
         self, name: str, index: int, first: int, array: NDArray[np.generic]
@@ -125,28 +143,6 @@ class SceneWriter(ExitStack):
             after = (0,) * (array.ndim - 1)
             self._arrays[name].append(self._group, (index, number, *after), some)
             done += len(some)
-
-    def _end_pose(self, pose: RawPose, n_antennas: int) -> None:
-        self._arrays["axes"].append(self._group, (len(self._names), 0, 0), pose.axes)
-        self._counts.append(n_antennas)
-        self._angles.append(angle_of(pose))
-        self._names.append(pose.name)
-        self._begun, self._n_begun = None, 0
-        for name, value in checksums(pose, n_antennas, self._begun_sums).items():
-            self._checksums[name].append(value)
-        self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
-
-    def _finish(self) -> None:
-        if len(self._names) != self._shape[0] or self._begun is not None:
-            msg = f"{self._shape[0]} planes were announced, got {len(self._names)}"
-            raise ValueError(msg)
-        self._write_group()
-        if self._names:
-            self._arrays["antenna_count"].append(self._group, (0,), np.array(self._counts))
-            self._arrays["angle"].append(self._group, (0,), np.array(self._angles))
-        write_toml(self.folder / container.MANIFEST_NAME, self.manifest)
-        if container.is_scene(self.path) and not self._overwrite:
-            self._compare_with_existing()
 
     def _compare_with_existing(self) -> None:
         try:

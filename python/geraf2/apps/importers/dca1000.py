@@ -105,7 +105,7 @@ def scan_of(
 
     def poses() -> Iterator[RawPose]:
         for own in tracks:
-            yield from _read_pose(recording, own, board)
+            yield from read_pose(recording, own, board)
 
     return Scan(
         manifest=manifest,
@@ -190,7 +190,7 @@ def _track(
     )
 
 
-def _read_pose(recording: Recording, track: Track, board: Board) -> Iterator[RawPose]:
+def read_pose(recording: Recording, track: Track, board: Board) -> Iterator[RawPose]:
     """Parts of one pose of a recording, each a block of the file."""
     axes = board.mean_axes(track)
     for first_position, stop_position in track.ranges:

@@ -25,11 +25,12 @@ import numpy as np
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._board import Board, board_of, plane_axes, ti_receivers
-from geraf2.apps.importers._recording import open_recording, read_positions
+from geraf2.apps.importers._recording import open_recording
 from geraf2.apps.importers._robot_log import RobotLog
 from geraf2.apps.importers._rows import good_rows, note_omission, require_equal, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.apps.importers._tracks import log_track
+from geraf2.apps.importers.dca1000 import read_pose
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
 from geraf2.io.manifest import RadarManifest
@@ -128,16 +129,8 @@ def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> 
 
     def poses() -> Iterator[RawPose]:
         for recording, track in passes:
-            for first_position, stop_position in track.ranges:
-                for position, signal in read_positions(recording, first_position, stop_position, 1):
-                    tx, rx = board.antennas(*track.at(position, position + len(signal)))
-                    yield RawPose(
-                        signal=complex_samples(signal).reshape(-1, n_samples),
-                        tx_positions=tx,
-                        rx_positions=rx,
-                        axes=board.axes,
-                        name=source.name,
-                    )
+            for part in read_pose(recording, track, board):
+                yield replace(part, signal=complex_samples(part.signal), name=source.name)
 
     n_positions = sum(stop - first for _, track in passes for first, stop in track.ranges)
     return Scan(

@@ -74,7 +74,7 @@ def _decibel(error: float) -> float:
 
 def is_refuted(numbers: Mapping[str, Any]) -> bool:
     """Whether a surface is clearly not that of its photos."""
-    return _evidence(numbers)[0] < _MIN_OVERLAP
+    return _evidence(numbers)[-1] < _MIN_OVERLAP
 
 
 def refutation_error(numbers: Mapping[str, Any], source: object, pictures: object) -> UserError:
@@ -88,23 +88,21 @@ def refutation_error(numbers: Mapping[str, Any], source: object, pictures: objec
 
 def warn_unexplained(numbers: Mapping[str, Any], source: object, listener: Listener) -> None:
     """Warn where a surface explains its photos badly."""
-    overlap, gain = _evidence(numbers)
-    if overlap < _GOOD_OVERLAP or gain < 0.0:  # silhouettes do not show hollows
+    _, psnr_db, flat_db, overlap = _evidence(numbers)
+    if overlap < _GOOD_OVERLAP or psnr_db < flat_db:  # silhouettes do not show hollows
         listener.warning(f"{source}: the surface explains the photos badly: {_words(numbers)}")
 
 
-def _evidence(numbers: Mapping[str, Any]) -> tuple[float, float]:
-    """Overlap of silhouettes, and gain of PSNR over a single colour [dB]."""
-    first = "" if "psnr_db" in numbers else TRAINED
-    gain = numbers[f"{first}psnr_db"] - numbers[f"{first}one_colour_db"]
-    return numbers[f"{first}silhouette_iou"], gain
+def _evidence(numbers: Mapping[str, Any]) -> tuple[str, float, float, float]:
+    """Which photos, their PSNR and that of a single colour [dB], and the overlap of silhouettes."""
+    of, first = (" left out", "") if "psnr_db" in numbers else ("", TRAINED)
+    psnr_db, flat_db = numbers[f"{first}psnr_db"], numbers[f"{first}one_colour_db"]
+    return of, psnr_db, flat_db, numbers[f"{first}silhouette_iou"]
 
 
 def _words(numbers: Mapping[str, Any]) -> str:
-    overlap, _ = _evidence(numbers)
-    first = "" if "psnr_db" in numbers else TRAINED
-    of = "" if first else " left out"
+    of, psnr_db, flat_db, overlap = _evidence(numbers)
     return (
-        f"photos{of} have {numbers[f'{first}psnr_db']:.1f} dB, where one colour for all has "
-        f"{numbers[f'{first}one_colour_db']:.1f} dB, and silhouettes overlap by {overlap:.2f}"
+        f"photos{of} have {psnr_db:.1f} dB, where one colour for all has {flat_db:.1f} dB, and "
+        f"silhouettes overlap by {overlap:.2f}"
     )

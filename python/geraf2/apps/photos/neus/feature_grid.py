@@ -41,18 +41,13 @@ class FeatureGrid(nn.Module):
         out: Tensor = _Gather.apply(self.table, index, share)  # type: ignore[no-untyped-call]
         return out
 
-    def active_points(self) -> Tensor:
-        """Positions of the nodes of rows 1 and up, (n_active, 3) [m]."""
-        flat = torch.nonzero(self.rows)[:, 0]
-        _, ny, nz = self.grid.shape
-        index = torch.stack([flat // (ny * nz), flat // nz % ny, flat % nz], dim=1)
-        return torch.tensor(self.grid.origin_m) + self.grid.spacing_m * index
-
     def copy_from(self, other: "FeatureGrid") -> None:
         """Copy the features of another grid at this one's nodes."""
+        index = torch.stack(torch.unravel_index(torch.nonzero(self.rows)[:, 0], self.grid.shape), 1)
+        points = torch.tensor(self.grid.origin_m) + self.grid.spacing_m * index
         with torch.no_grad():
             self.table[0] = other.table.mean(dim=0)
-            self.table[1:] = other(self.active_points().to(other.table.dtype))
+            self.table[1:] = other(points.to(other.table.dtype))
 
     def restore(self, rows: Tensor) -> None:
         """Set the rows of a stored grid, with an empty table to be loaded afterwards."""
