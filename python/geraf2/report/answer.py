@@ -201,18 +201,12 @@ def _share(areas: Floats, marked: Bools, among: Bools) -> float:
 
 def _ends(content: TriangleMesh, seen: Bools, has_outlines: bool) -> list[str]:
     """Sentence on the ends, and so the lengths, that lie on unseen surface."""
-    low, high = content.vertices.min(axis=0), content.vertices.max(axis=0)
     areas = vertex_areas(content.vertices, content.faces)
-    blind: list[str] = []
-    for axis, names in enumerate(_ENDS):
-        height = content.vertices[:, axis]
-        for name, near in zip(
-            names,
-            (height <= low[axis] + _END_REACH_M, height >= high[axis] - _END_REACH_M),
-            strict=True,
-        ):
-            if _share(areas, ~seen, near) > 0.5:
-                blind.append(name)
+    near: dict[str, Bools] = {}
+    for height, (lowest, highest) in zip(content.vertices.T, _ENDS, strict=True):
+        near[lowest] = height <= height.min() + _END_REACH_M
+        near[highest] = height >= height.max() - _END_REACH_M
+    blind = [name for name, among in near.items() if _share(areas, ~seen, among) > 0.5]
     if not blind:
         return []
     source = " other than the shadow on the far walls" if has_outlines else ""

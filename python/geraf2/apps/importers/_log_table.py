@@ -233,12 +233,9 @@ def _commented_names(
     comments: Sequence[str], mark: str | None, n_columns: int, path: Path
 ) -> Row | None:
     """Names in the last comment that has as many words as the rows have columns, and axes."""
-    for line in filter(None, reversed(comments)):
-        for one in (mark, None):
-            names = _cells([line], path, one)[0]
-            if len(names) == n_columns and _has_axes(names):
-                return names
-    return None
+    lines = ((line, one) for line in filter(None, reversed(comments)) for one in (mark, None))
+    tried = (_cells([line], path, one)[0] for line, one in lines)
+    return next((names for names in tried if len(names) == n_columns and _has_axes(names)), None)
 
 
 def _numbers(rows: Sequence[Row], index: int, name: str, mark: str | None, path: Path) -> Floats:

@@ -147,10 +147,9 @@ def _record(path: Path, values: dict[str, Any], where: str) -> PhotoRecord:
 def _image_path(folder: Path, name: str) -> Path:
     """Image of a frame, without .png in NeRF's synthetic sets, or the path where it should be."""
     paths = [folder / name, *(folder / end for end in _path_ends(name))]
-    for path in paths:
-        for candidate in _candidates(path):
-            if _is_file(candidate):
-                return candidate
+    candidates = (candidate for path in paths for candidate in _candidates(path))
+    if found := next(filter(_is_file, candidates), None):
+        return found
     for path in paths:  # in other capitals
         there = find_path(folder, path.relative_to(folder)) if path.is_relative_to(folder) else None
         if there is not None and _is_file(there):
