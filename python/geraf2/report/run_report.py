@@ -132,17 +132,17 @@ def write_report(
     known = provenance or read_object(folder / run_folder.PROVENANCE_NAME, "the provenance")
     log = read_log(folder)
     kept = _kept_pictures(run, figures) if truth is None else frozenset()
-    copy = _truth_copy(run, folder, truth, bool(kept), num_threads)
+    copy = _truth_copy(run, truth, bool(kept), num_threads)
     view = None
     if run.surface is not None:
-        view = view3d.scene_json(_view(run, folder, copy, heatmap, num_threads))
+        view = view3d.scene_json(_view(run, copy, heatmap, num_threads))
     pictures = _draw(run, figures, kept, truth, heatmap, num_threads)
     answer = answer_of(run.content, run.glints, run.record.numbers, run.metrics, run.record.verdict)
     sections = [
         Section("answer", "What was found", kind="answer", note=_NO_VIEW),
         *run_sections.ruled_out(run.record.numbers.get("mesh", {})),
         *pictures,
-        *_evaluation(run, folder, answer),
+        *_evaluation(run, answer),
         *_renderings(folder),
         *_histories(log, figures),
         *run_sections.tables(run.record.stages, run.metrics, run.surface),
@@ -175,7 +175,7 @@ def run_view(run_dir: AnyPath) -> str | None:
     run = read_run(folder)
     if run.surface is None:
         return None
-    scene = _view(run, folder, _known_truth(run, folder), None, None, with_field=True)
+    scene = _view(run, _known_truth(run), with_field=True)
     return html.render_template(
         "view_page.html",
         title=run_folder.place_of(folder),
@@ -190,21 +190,20 @@ def run_scene(folder: Path) -> dict[str, Any] | None:
     run = read_run(folder)
     if run.surface is None and run.glints is None and run.sdf is None and run.box is None:
         return None
-    return _view(run, folder, _known_truth(run, folder), None, None, with_field=True)
+    return _view(run, _known_truth(run), with_field=True)
 
 
-def _known_truth(run: RunArtefacts, folder: Path) -> tuple[TriangleMesh, Floats] | None:
-    path = folder / run_folder.TRUTH_COPY
+def _known_truth(run: RunArtefacts) -> tuple[TriangleMesh, Floats] | None:
+    path = run.record.path / run_folder.TRUTH_COPY
     is_known = "scores" in run.metrics and path.is_file() and run.surface is not None
     return stored_truth(path) if is_known else None
 
 
 def _view(
     run: RunArtefacts,
-    folder: Path,
     copy: tuple[TriangleMesh, Floats] | None,
-    heatmap: tuple[Array, Grid] | None,
-    num_threads: int | None,
+    heatmap: tuple[Array, Grid] | None = None,
+    num_threads: int | None = None,
     *,
     with_field: bool = False,
 ) -> dict[str, Any]:
@@ -219,7 +218,7 @@ def _view(
             num_threads=num_threads,
         )
     volumes = [] if heatmap is None else [heat_map(*heatmap)]
-    stored = folder / run_folder.IMAGE_NAME
+    stored = run.record.path / run_folder.IMAGE_NAME
     if not volumes and stored.is_file() and stored.stat().st_size < _MAX_IMAGE_BYTES:
         volumes = [read_heat_map(stored)]
     if with_field and run.sdf is not None:
@@ -237,14 +236,10 @@ def _view(
 
 
 def _truth_copy(
-    run: RunArtefacts,
-    folder: Path,
-    truth: TriangleMesh | None,
-    scores_kept: bool,
-    num_threads: int | None,
+    run: RunArtefacts, truth: TriangleMesh | None, scores_kept: bool, num_threads: int | None
 ) -> tuple[TriangleMesh, Floats] | None:
     """Thinned truth for the view, and distance of each vertex of the content to it [m]."""
-    path = folder / run_folder.TRUTH_COPY
+    path = run.record.path / run_folder.TRUTH_COPY
     if run.surface is None:
         return None
     if truth is not None and truth.faces.shape[0]:
@@ -319,12 +314,12 @@ def _draw(
     return sections
 
 
-def _evaluation(run: RunArtefacts, folder: Path, answer: Answer) -> list[Section]:
+def _evaluation(run: RunArtefacts, answer: Answer) -> list[Section]:
     """Section of the scores against the truth; empty without scores."""
     if "scores" not in run.metrics:
         return []
     parts = [html.part("facts", answer.scores)]
-    curves = folder / run_folder.FIGURES_FOLDER / run_folder.ERRORS_NAME
+    curves = run.record.path / run_folder.FIGURES_FOLDER / run_folder.ERRORS_NAME
     if curves.is_file():
         parts.append(html.picture(curves, name="evaluation"))
     parts.append(html.part("metrics_tables", run.metrics))
