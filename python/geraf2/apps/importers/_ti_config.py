@@ -17,19 +17,8 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
+from geraf2.apps.importers import _ti_values as ti
 from geraf2.apps.importers._ti_log import has_calls, read_log
-from geraf2.apps.importers._ti_values import (
-    GIVE,
-    TYPED,
-    TiConfig,
-    Transmitters,
-    bpm_mask,
-    is_real_16,
-    profile_values,
-    require_count,
-    to_number,
-    transmitters_of,
-)
 from geraf2.errors import UserError
 from geraf2.io.regular import TEXT_BYTES, read_regular
 from geraf2.io.text import parse_json, read_text
@@ -38,7 +27,7 @@ from geraf2.io.text import parse_json, read_text
 _CLOSE = {"chirp_slope_hz_per_s": 1e-2, "adc_start_s": 1e-2}
 
 
-# Values of a chirp in the order of `profile_values`, and what follows their names in JSON.
+# Values of a chirp in the order of `ti.profile_values`, and what follows their names in JSON.
 _PROFILE = {
     "startFreqConst": "_GHz",
     "adcStartTimeConst": "_usec",
@@ -50,7 +39,7 @@ _XML_MARK = "apiname_profile_cfg"
 _LOW_POWER = "is of a low-power chip (xWRL1432, xWRL6432)"
 
 
-def read_ti_configs(paths: Iterable[Path]) -> TiConfig:
+def read_ti_configs(paths: Iterable[Path]) -> ti.TiConfig:
     """Read configuration files of one recording; a value given twice must be the same."""
     known: dict[str, Any] = {}
     source_of: dict[str, Path] = {}
@@ -66,7 +55,7 @@ def read_ti_configs(paths: Iterable[Path]) -> TiConfig:
             if not same:
                 what = f"contradicts {source} on {name}"
                 raise UserError(what=what, where=path, expected=before, got=value)
-    return TiConfig(**known)
+    return ti.TiConfig(**known)
 
 
 def find_ti_configs(source: Path) -> list[Path]:
@@ -90,7 +79,7 @@ def find_ti_configs(source: Path) -> list[Path]:
     ]
 
 
-def _read_one(path: Path) -> TiConfig:
+def _read_one(path: Path) -> ti.TiConfig:
     text = read_text(path)
     if path.suffix.lower() == ".cfg":
         return _from_profile(text, path)
@@ -135,14 +124,14 @@ def _value_at(values: Any, keys: str, path: Path) -> Any:
 
 
 def _number(values: Any, keys: str, path: Path) -> float:
-    return to_number(_value_at(values, keys, path), keys, path)
+    return ti.to_number(_value_at(values, keys, path), keys, path)
 
 
 def _optional(values: Any, keys: str, path: Path) -> float | None:
     """Return a number, or None where any of its keys is missing."""
     for key in keys.split("."):
         values = values.get(key) if isinstance(values, Mapping) else None
-    return None if values is None else to_number(values, keys, path)
+    return None if values is None else ti.to_number(values, keys, path)
 
 
 def _tables(values: Any, keys: str, inner: str, path: Path) -> list[Any]:
@@ -158,7 +147,7 @@ def _span(chirps: Any, path: Path) -> tuple[int, int]:
     return int(_number(chirps, "chirpStartIdx", path)), int(_number(chirps, "chirpEndIdx", path))
 
 
-def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
+def _from_studio(values: Mapping[str, Any], path: Path) -> ti.TiConfig:
     devices = values["mmWaveDevices"]
     if not isinstance(devices, list) or len(devices) != 1:
         got = len(devices) if isinstance(devices, list) else type(devices).__name__
@@ -177,7 +166,7 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
     table = [(*_span(c, path), int(_number(c, "txEnable", path))) for c in chirps]
     first, last = _span(_value_at(rf, "rlFrameCfg_t", path), path)
     codes = _tables(rf, "rlBpmChirps", "rlBpmChirpCfg_t", path) if "rlBpmChirps" in rf else ()
-    turned = [(*_span(c, path), bpm_mask(_number(c, "constBpmVal", path))) for c in codes]
+    turned = [(*_span(c, path), ti.bpm_mask(_number(c, "constBpmVal", path))) for c in codes]
     lanes = _optional(devices[0], f"{raw}.rlDevLaneEnable_t.laneEn", path)
     interleave = _optional(devices[0], f"{raw}.rlDevDataFmtCfg_t.chInterleave", path)
     rx_mask = _optional(rf, "rlChanCfg_t.rxChannelEn", path)
@@ -186,13 +175,12 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
         bits, output = (
             _number(rf, f"rlAdcOutCfg_t.fmt.{key}", path) for key in ("b2AdcBits", "b2AdcOutFmt")
         )
-        is_real = is_real_16(bits, output, path)
-    return TiConfig(
-        **profile_values(
-            [_number(profile, f"{k}{unit}", path) for k, unit in _PROFILE.items()], range(5), TYPED
-        ),
+        is_real = ti.is_real_16(bits, output, path)
+    chirp = [_number(profile, f"{name}{unit}", path) for name, unit in _PROFILE.items()]
+    return ti.TiConfig(
+        **ti.profile_values(chirp),
         n_rx=None if rx_mask is None else int(rx_mask).bit_count(),
-        transmitters=transmitters_of(table, first, last, path, turned) if table else None,
+        transmitters=ti.transmitters_of(table, first, last, path, turned) if table else None,
         n_chirps_per_frame=(last - first + 1) * int(_number(rf, "rlFrameCfg_t.numLoops", path)),
         n_frames=int(_number(rf, "rlFrameCfg_t.numFrames", path)) or None,
         frame_period_s=1e-3 * _number(rf, "rlFrameCfg_t.framePeriodicity_msec", path),
@@ -202,7 +190,7 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
     )
 
 
-def _from_capture_card(values: Any, path: Path) -> TiConfig:
+def _from_capture_card(values: Any, path: Path) -> ti.TiConfig:
     bits = {1: 12, 2: 14, 3: 16}.get(int(_number(values, "DCA1000Config.dataFormatMode", path)))
     if bits != 16:
         raise UserError(what="samples are not of 16 bits", where=path, expected=16, got=bits)
@@ -210,10 +198,10 @@ def _from_capture_card(values: Any, path: Path) -> TiConfig:
     if lanes is None:
         expected = "1 (4 lanes) or 2 (2 lanes)"
         raise UserError(what="lvdsMode is not known", where=path, expected=expected)
-    return TiConfig(n_lanes=lanes)
+    return ti.TiConfig(n_lanes=lanes)
 
 
-def _from_xml(text: str, path: Path) -> TiConfig:
+def _from_xml(text: str, path: Path) -> ti.TiConfig:
     """Read settings of mmWave Studio: sections of parameters, units as in its windows."""
     # It saves a single one of several chirps, so that the transmitters of a loop may be unknown.
     try:
@@ -234,7 +222,7 @@ def _from_xml(text: str, path: Path) -> TiConfig:
     def number(name: str) -> float:
         if name not in values:
             raise UserError(what=f"parameter {name!r} is missing", where=path)
-        return to_number(values[name], name, path)
+        return ti.to_number(values[name], name, path)
 
     def mask(name: str, first: int, n: int) -> int | None:
         """Bits whose names end with numbers from `first` on; None where there is none."""
@@ -248,10 +236,10 @@ def _from_xml(text: str, path: Path) -> TiConfig:
     rx_mask, lanes = mask("channel.rx{}En", 0, 4), mask("lvdslane.lane{}En", 1, 4)
     is_known = tx_mask is not None and start <= first and stop >= last
     profile = [number(f"profile.{name}") for name in _PROFILE]
-    return TiConfig(
-        **profile_values(profile, range(5), TYPED),
+    return ti.TiConfig(
+        **ti.profile_values(profile),
         n_rx=None if rx_mask is None else int(rx_mask).bit_count(),
-        transmitters=transmitters_of([(start, stop, tx_mask)], first, last, path)
+        transmitters=ti.transmitters_of([(start, stop, tx_mask)], first, last, path)
         if is_known and tx_mask is not None
         else None,
         n_chirps_per_loop=last - first + 1,
@@ -259,7 +247,7 @@ def _from_xml(text: str, path: Path) -> TiConfig:
         n_frames=int(number("frame.frameCount")) or None,
         frame_period_s=1e-3 * number("frame.periodicity"),
         n_lanes=lanes.bit_count() if lanes else None,
-        is_real=is_real_16(number("adc.bitsVal"), number("adc.formatVal"), path),
+        is_real=ti.is_real_16(number("adc.bitsVal"), number("adc.formatVal"), path),
     )
 
 
@@ -285,7 +273,7 @@ _UNREAD_LINES = {
 }
 
 
-def _from_profile(text: str, path: Path) -> TiConfig:
+def _from_profile(text: str, path: Path) -> ti.TiConfig:
     lines: dict[str, list[list[float]]] = {}
     for number, line in enumerate(text.splitlines(), start=1):
         name, *words = line.split("%", 1)[0].split() or [""]
@@ -294,13 +282,13 @@ def _from_profile(text: str, path: Path) -> TiConfig:
                 what=f"line {number}: {name}: the profile {_UNREAD_LINES[name]}",
                 where=path,
                 expected="one profileCfg, chirpCfg and frameCfg",
-                hint=GIVE,
+                hint=ti.GIVE,
             )
         if name not in _LINE_LENGTHS:
             continue
         least, most = _LINE_LENGTHS[name]
-        values = [to_number(word, f"line {number}, {name}", path) for word in words]
-        require_count(f"line {number}: {name}", len(values), least, most, path)
+        values = [ti.to_number(word, f"line {number}, {name}", path) for word in words]
+        ti.require_count(f"line {number}: {name}", len(values), least, most, path)
         lines.setdefault(name, []).append(values)
     profiles = lines.get("profileCfg", [])
     if len(profiles) != 1:
@@ -312,7 +300,7 @@ def _from_profile(text: str, path: Path) -> TiConfig:
             what="frameCfg has eight values, of which the fifth is no number of samples",
             where=path,
             expected=f"{profile[9]:g}, as in profileCfg",
-            hint=GIVE,
+            hint=ti.GIVE,
         )
     channel, adc = (lines.get(name, [[]])[-1] for name in ("channelCfg", "adcCfg"))
     for _, _, data_format, _ in lines.get("lvdsStreamCfg", [])[-1:]:
@@ -324,12 +312,12 @@ def _from_profile(text: str, path: Path) -> TiConfig:
                 got=f"format {data_format:g}",
             )
     bias_m, gains = _compensation(lines.get(_COMPENSATION, [[0.0, 1.0, 0.0]])[-1], path)
-    return TiConfig(
-        **profile_values(profile, (1, 3, 7, 9, 10), TYPED),
+    return ti.TiConfig(
+        **ti.profile_values(profile, (1, 3, 7, 9, 10)),
         path_bias_m=2.0 * bias_m or None,
         channel_gains=gains,
         n_rx=int(channel[0]).bit_count() if channel else None,
-        is_real=is_real_16(adc[0], adc[1], path) if adc else None,
+        is_real=ti.is_real_16(adc[0], adc[1], path) if adc else None,
         transmitters=_transmitters(lines, frame, path) if frame else None,
         n_chirps_per_frame=int(frame[1] - frame[0] + 1) * int(frame[2]) if frame else None,
         n_frames=(int(frame[3]) or None) if frame else None,
@@ -349,7 +337,7 @@ def _compensation(values: list[float], path: Path) -> tuple[float, tuple[complex
 
 def _transmitters(
     lines: Mapping[str, list[list[float]]], frame: list[float], path: Path
-) -> Transmitters | None:
+) -> ti.Transmitters | None:
     chirps = [(int(c[0]), int(c[1]), int(c[7])) for c in lines.get("chirpCfg", [])]
     # 'bpmCfg subframe enabled chirp0 chirp1': the second transmitter of chirp1 is turned.
     turned = []
@@ -357,4 +345,4 @@ def _transmitters(
         mask = next((m for a, b, m in chirps if a <= int(chirp) <= b), 0) if enabled else 0
         if mask.bit_count() > 1:
             turned.append((int(chirp), int(chirp), 1 << mask.bit_length() - 1))
-    return transmitters_of(chirps, int(frame[0]), int(frame[1]), path, turned)
+    return ti.transmitters_of(chirps, int(frame[0]), int(frame[1]), path, turned)

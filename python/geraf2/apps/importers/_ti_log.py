@@ -15,16 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geraf2.apps.importers._ti_values import (
-    TYPED,
-    TiConfig,
-    bpm_mask,
-    is_real_16,
-    profile_values,
-    require_count,
-    to_number,
-    transmitters_of,
-)
+from geraf2.apps.importers import _ti_values as ti
 from geraf2.errors import UserError
 
 # Steps of the chip: of a 2^26 part of 3.6 GHz (77 GHz devices) or 2.7 GHz (60 GHz devices).
@@ -79,7 +70,7 @@ def has_calls(text: str) -> bool:
     return any(match[1] in _LENGTHS for match in found)
 
 
-def read_log(text: str, path: Path) -> TiConfig:
+def read_log(text: str, path: Path) -> ti.TiConfig:
     """Values of the last calls of a log or a script; UserError names a line that cannot be read."""
     calls = _calls(text, path)
     last = {call.name: call for call in calls}
@@ -106,7 +97,7 @@ def read_log(text: str, path: Path) -> TiConfig:
     known |= {
         "n_rx": rx_mask.bit_count() if rx_mask else None,
         "n_lanes": n_lanes or None,
-        "is_real": is_real_16(codes[0], codes[1], path) if codes else None,
+        "is_real": ti.is_real_16(codes[0], codes[1], path) if codes else None,
     }
     if "DataFmtConfig" in last:
         known["interleaved"] = last["DataFmtConfig"].values[4] == 0
@@ -115,14 +106,14 @@ def read_log(text: str, path: Path) -> TiConfig:
         first, stop, n_frames, n_loops = (int(value) for value in frame.values[:4])
         chirps = _chirps(calls, "ChirpConfig", slice(7, 10))
         codes_of = _chirps(calls, "BpmChirpConfig", slice(2, 8))
-        turned = [(start, end, bpm_mask(code)) for start, end, code in codes_of]
+        turned = [(start, end, ti.bpm_mask(code)) for start, end, code in codes_of]
         known |= {
-            "transmitters": transmitters_of(chirps, first, stop, path, turned),
+            "transmitters": ti.transmitters_of(chirps, first, stop, path, turned),
             "n_chirps_per_frame": (stop - first + 1) * n_loops,
             "n_frames": n_frames or None,
             "frame_period_s": frame.values[4] * (_FRAME_STEP_S if frame.raw else 1e-3),
         }
-    return TiConfig(**known)
+    return ti.TiConfig(**known)
 
 
 def _calls(text: str, path: Path) -> list[_Call]:
@@ -145,8 +136,8 @@ def _calls(text: str, path: Path) -> list[_Call]:
         wanted = _LENGTHS[name][0 if raw else 1]
         words = [word.strip() for word in arguments.strip().rstrip(",").split(",")]
         most = len(words) if raw else _MAX_VALUES.get(name, len(words))
-        require_count(name, len(words), wanted, max(most, wanted), where)
-        values = [to_number(word, name, where) for word in words[:wanted]]
+        ti.require_count(name, len(words), wanted, max(most, wanted), where)
+        values = [ti.to_number(word, name, where) for word in words[:wanted]]
         calls.append(_Call(name=name, where=where, raw=raw, values=values))
     if _BRANCH.search(script):
         _require_one_branch([call for call in calls if not call.raw])
@@ -186,10 +177,10 @@ def _used_profile(calls: list[_Call], last: dict[str, _Call], path: Path) -> _Ca
 
 def _profile(call: _Call, text: str) -> dict[str, Any]:
     if not call.raw:
-        return profile_values(call.values, (1, 3, 11, 13, 14), TYPED)
+        return ti.profile_values(call.values, (1, 3, 11, 13, 14))
     of_60 = _DEVICE_60.search(text) is not None or call.values[1] * _STEP_77_HZ > _HIGHEST_HZ
     step = _STEP_60_HZ if of_60 else _STEP_77_HZ
-    return profile_values(
+    return ti.profile_values(
         call.values, (1, 3, 7, 9, 10), (step, _TIME_STEP_S, step * _SLOPE_STEPS_HZ_PER_S)
     )
 

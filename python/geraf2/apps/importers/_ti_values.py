@@ -19,10 +19,6 @@ from geraf2._types import Floats
 from geraf2.errors import UserError
 
 GIVE = "give the parameters in --radar"
-TYPED = (1e9, 1e-6, 1e12)
-"""Units of typed values: start [GHz], ADC start [us] and slope [MHz/us]."""
-
-
 # Least singular value over the largest: below it noise is amplified more than ten times.
 _MIN_SINGULAR = 0.1
 
@@ -145,9 +141,15 @@ def require_count(name: str, got: int, least: int, most: int, where: object) -> 
 
 
 def profile_values(
-    values: Sequence[float], at: Sequence[int], units: tuple[float, float, float]
+    values: Sequence[float],
+    at: Sequence[int] = range(5),
+    units: tuple[float, float, float] = (1e9, 1e-6, 1e12),
 ) -> dict[str, Any]:
-    """Chirp in SI units; `at`: indices of start, ADC start, slope, samples, rate [kHz]."""
+    """Chirp in SI units.
+
+    at: indices of start, ADC start, slope, number of samples, rate [kHz].
+    units: of the first three; by default GHz, us and MHz/us.
+    """
     start, adc_start, slope, n_samples, rate_khz = (values[index] for index in at)
     return {
         "ramp_start_hz": units[0] * start,
