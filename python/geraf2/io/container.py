@@ -260,7 +260,7 @@ class SceneReader:
         if n_poses > MAX_PLANES:
             expected = f"at most {MAX_PLANES} planes"
             raise UserError(what="too many planes", where=where, expected=expected, got=n_poses)
-        shape = self._shape("signal")
+        shape = self._arrays["signal"].shape
         of_integers = self._arrays["signal"].dtype.kind == "i"
         if shape[3:] != ((2,) if of_integers else ()) or len(shape) < 3:
             raise UserError(
@@ -284,12 +284,12 @@ class SceneReader:
             "angle": (n_poses,),
         }
         for name, want in wanted.items():
-            if self._shape(name) != want:
+            if self._arrays[name].shape != want:
                 raise UserError(
                     what="array has the wrong shape",
                     where=where / name,
                     expected=want,
-                    got=self._shape(name),
+                    got=self._arrays[name].shape,
                 )
         if len(self._names) != n_poses:
             raise UserError(
@@ -300,9 +300,6 @@ class SceneReader:
             )
         if np.any((self.n_antennas < 0) | (self.n_antennas > n_max)):
             raise UserError(what="antenna_count lies outside the arrays", where=where)
-
-    def _shape(self, name: str) -> tuple[int, ...]:
-        return tuple(int(n) for n in self._arrays[name].shape)
 
 
 @contextmanager

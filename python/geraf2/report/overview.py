@@ -80,7 +80,11 @@ def overview_figure(
     if focus is None:
         hint = "give the depth: 'geraf2 image --depth-m'"
         raise UserError(what="one frequency does not determine the depth", hint=hint)
-    grid = _heat_map_grid(summary, focus, box)
+    center, side = focus, summary.scene_width_m or _UNKNOWN_WIDTH_M
+    if box is not None and box.vertices.shape[0]:
+        low, high = box.vertices.min(axis=0), box.vertices.max(axis=0)
+        center, side = 0.5 * (low + high), 1.3 * float((high - low).max())
+    grid = Grid.cube((center[0], center[1], center[2]), 0.5 * side, _N_VOXELS)
     capture = Capture(waveform=summary.waveform, poses=tuple(gathered.imaged))
     volume = image_volume(capture, grid, num_threads=num_threads)
 
@@ -133,16 +137,6 @@ def gather(poses: Iterable[Pose], n_poses: int) -> _Gathered:
         gathered.dropped.append(np.array([lost[part].any() for part in parts]))
         gathered.noisy.append(np.array([noisy[part].any() for part in parts]))
     return gathered
-
-
-def _heat_map_grid(summary: CaptureSummary, focus: Floats, box: TriangleMesh | None) -> Grid:
-    """Cube around the box, or around the focus."""
-    if box is not None and box.vertices.shape[0]:
-        low, high = box.vertices.min(axis=0), box.vertices.max(axis=0)
-        center, side = 0.5 * (low + high), 1.3 * float((high - low).max())
-    else:
-        center, side = focus, summary.scene_width_m or _UNKNOWN_WIDTH_M
-    return Grid.cube((center[0], center[1], center[2]), 0.5 * side, _N_VOXELS)
 
 
 def _draw_geometry(

@@ -102,7 +102,10 @@ def content_attributes(
             )
         )
     if box is not None and box.faces.shape[0]:
-        outside = _find_outermost(box)  # without the inner sides of its walls
+        labels, n_parts = face_labels(box.faces)
+        pieces = [box.with_faces(box.faces[labels == piece]) for piece in range(n_parts)]
+        # The piece of the largest extent: without the inner sides of the walls.
+        outside = max(pieces, key=lambda piece: float(np.prod(np.ptp(piece.vertices, axis=0))))
         depth = -1e3 * signed_distances(outside, content.vertices, num_threads=num_threads)
         limits = (float(np.floor(depth.min())), float(np.ceil(depth.max())))
         note = "From the nearest point of the box's outside."
@@ -144,13 +147,6 @@ def _evidence(evidence: Bytes) -> Attribute:
             "Not seen: neither; the surface is guessed."
         ),
     )
-
-
-def _find_outermost(box: TriangleMesh) -> TriangleMesh:
-    """Piece of a mesh with the largest extent."""
-    labels, n_parts = face_labels(box.faces)
-    parts = [box.with_faces(box.faces[labels == part]) for part in range(n_parts)]
-    return max(parts, key=lambda part: float(np.prod(np.ptp(part.vertices, axis=0))))
 
 
 def _error(error_mm: Floats) -> Attribute:

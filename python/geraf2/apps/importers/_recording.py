@@ -205,7 +205,6 @@ def open_recording(
     frame_bytes = n_chirps * chirp_bytes
     files = files.without_zeros(frame_bytes)
     notes = [*files.notes, *evidence.notes]
-    _check_lanes(evidence, config, source)
     if n_rx is None and (evidence.order.is_sequential or evidence.order.n_rx == 1):
         notes.append(
             f"n_rx (receivers) is not known and was assumed to be {evidence.order.n_rx}; give it "
@@ -360,7 +359,7 @@ def _open_files(source: Path, options: ImportOptions) -> _Files:
 def _evidence(
     head: Words, n_rx: int | None, radar: RadarManifest, config: TiConfig, source: Path
 ) -> LayoutEvidence:
-    return find_layout(
+    evidence = find_layout(
         head,
         n_rx=n_rx,
         layout=radar.raw.layout or _layout_of(config),
@@ -369,6 +368,15 @@ def _evidence(
         is_real=None if radar.raw.layout else config.is_real,
         where=source,
     )
+    is_known = evidence.order.is_real or evidence.order.layout.startswith("2-lane")
+    if config.n_lanes == 2 and not is_known:
+        raise UserError(
+            what="the samples contradict the configuration, which states 2 lanes",
+            where=source,
+            expected="2-lane-pairs or 2-lane-sequential",
+            got=f"{evidence.order} with {evidence.energy_ratio:.3g} : 1",
+        )
+    return evidence
 
 
 def _remove_headers(
@@ -395,17 +403,6 @@ def _layout_of(config: TiConfig) -> Layout | None:
     if config.n_lanes == 2 and config.interleaved is not None:
         return "2-lane-pairs" if config.interleaved else "2-lane-sequential"
     return None
-
-
-def _check_lanes(evidence: LayoutEvidence, config: TiConfig, source: Path) -> None:
-    is_known = evidence.order.is_real or evidence.order.layout.startswith("2-lane")
-    if config.n_lanes == 2 and not is_known:
-        raise UserError(
-            what="the samples contradict the configuration, which states 2 lanes",
-            where=source,
-            expected="2-lane-pairs or 2-lane-sequential",
-            got=f"{evidence.order} with {evidence.energy_ratio:.3g} : 1",
-        )
 
 
 def _frame_structure(radar: RadarManifest, config: TiConfig) -> tuple[int, int]:

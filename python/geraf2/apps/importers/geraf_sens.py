@@ -54,7 +54,7 @@ _ORTHONORMAL_TOLERANCE = 1e-3
 _SAME_POSITION_M = 1.5e-4
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Frame:
     """A part of a plane, whose headers were read."""
 
@@ -181,15 +181,7 @@ def check_headers(folder: Path) -> Frame:
         if shapes[name] != shape:
             where, expected = folder / f"{name}.npy", f"{shape}, by tpos.npy and adcr.npy"
             raise wrong_shape(where, "array", expected, shapes[name])
-    index, angle, sub = _order(folder)
-    return Frame(
-        folder=folder,
-        index=index,
-        angle_deg=angle,
-        sub=sub,
-        n_antennas=n_antennas,
-        n_samples=n_samples,
-    )
+    return Frame(folder, *_order(folder), n_antennas, n_samples)
 
 
 def read_group(group: Sequence[Frame]) -> RawPose:

@@ -14,10 +14,9 @@ plane is x horizontal, y vertical. In the capture frame these are y and z; the p
 the origin, and the viewing direction is +x.
 """
 
-from dataclasses import dataclass
 from os import SEEK_CUR
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -46,8 +45,7 @@ _NUMBERS = {
 _NOMINAL_RATE_HZ = 1e6
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _PlanarScan:
+class _PlanarScan(NamedTuple):
     path: Path
     data: Array
     """Complex (n_frequencies, n_x, n_y), or (2, n_frequencies, n_x, n_y), Q before I."""
@@ -117,13 +115,8 @@ def _read_scan(path: Path) -> _PlanarScan:
     if n_frequencies == 1:
         what = "the scan has one frequency, but the last is not the first"
         require_equal(what, path, low, high)
-    return _PlanarScan(
-        path=path,
-        data=data,
-        frequencies_hz=np.linspace(low, high, data.shape[-3]),
-        step_m=(float(step[0]), float(step[1])),
-        depth_m=float(depth),
-    )
+    frequencies_hz = np.linspace(low, high, data.shape[-3])
+    return _PlanarScan(path, data, frequencies_hz, (float(step[0]), float(step[1])), float(depth))
 
 
 def _check_samples(data: Array, n_frequencies: int, path: Path) -> Array:
@@ -198,18 +191,15 @@ def _read_pose(scan: _PlanarScan, phases: Floats | None) -> RawPose:
         quadrature, in_phase = scan.data.astype(np.float64)
         signal = in_phase - 1j * quadrature
     if not np.isfinite(signal).all():
-        raise UserError(
-            what=f"{int((~np.isfinite(signal)).sum())} samples are NaN or infinite", where=scan.path
-        )
+        n_bad = int((~np.isfinite(signal)).sum())
+        raise UserError(what=f"{n_bad} samples are NaN or infinite", where=scan.path)
     signal -= signal.mean(axis=(1, 2), keepdims=True)
     if phases is not None:
         signal *= np.exp(1j * phases)[:, None, None]
     n_frequencies, n_x, n_y = signal.shape
-    along, up = (
-        (np.arange(n) - (n - 1) / 2) * step for n, step in zip((n_x, n_y), scan.step_m, strict=True)
-    )
     grid = np.zeros((n_x, n_y, 3))
-    grid[..., 1], grid[..., 2] = along[:, None], up
+    grid[..., 1] = (np.arange(n_x) - (n_x - 1) / 2)[:, None] * scan.step_m[0]
+    grid[..., 2] = (np.arange(n_y) - (n_y - 1) / 2) * scan.step_m[1]
     positions = grid.reshape(-1, 3)
     return RawPose(
         signal=np.ascontiguousarray(signal.reshape(n_frequencies, -1).T, dtype=np.complex64),
