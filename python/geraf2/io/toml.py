@@ -178,8 +178,9 @@ def _complaint(item: "ErrorDetails", table: Any, kind: Any) -> str:
         if not location or first in location:
             return reason
         return f"{key}.{reason}" if first in _known_keys(kind, location) else f"{key}: {reason}"
-    reason = item["msg"][:1].lower() + item["msg"][1:]
-    return (f"key {key!r}: " if key else "") + f"{reason}, got {_short_text(item['input'])}"
+    reason, got = item["msg"][:1].lower() + item["msg"][1:], repr(item["input"])
+    got = got if len(got) <= 60 else got[:57] + "..."
+    return (f"key {key!r}: " if key else "") + f"{reason}, got {got}"
 
 
 def _location(
@@ -213,8 +214,3 @@ def _dotted_key(location: tuple[int | str, ...]) -> str:
     for part in location:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
     return text
-
-
-def _short_text(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

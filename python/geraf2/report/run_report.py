@@ -20,9 +20,9 @@ from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.planes import load_planes
-from geraf2.io.run_folder import RunFolder
+from geraf2.io.run_folder import RunFolder, StageRecord
 from geraf2.io.text import read_text
-from geraf2.io.verdict import not_determined
+from geraf2.io.verdict import Verdict, not_determined
 from geraf2.report import html, run_sections, view3d
 from geraf2.report.answer import Answer, answer_of
 from geraf2.report.figures import (
@@ -68,12 +68,24 @@ class RunArtefacts:
     """`metrics.json`, empty if absent or of another mesh."""
     config_text: str | None
     """`config.toml`."""
-    record: RunFolder
-    """Steps that are done, hashes of files, warnings and verdict."""
+    warnings: tuple[str, ...]
+    """Warnings and errors since the last start."""
+    stages: Mapping[str, StageRecord]
+    """Steps that are done."""
+    files: Mapping[str, str]
+    """Hash of each file."""
+    folder: Path
+    """The folder."""
     silhouettes: Silhouettes | None = None
     """`silhouettes.npz`."""
     planes_m: Floats | None = None
     """Corners of the planes of antennas, `planes.json`, (n_planes, 4, 3) [m]."""
+    scene: tuple[str, str] = ("", "")
+    """Name and digest of the scene."""
+    verdict: Verdict | None = None
+    """How far the result can be trusted."""
+    numbers: Mapping[str, Mapping[str, Any]]
+    """Results of each stage, without those that the verdict withdraws."""
 
     @property
     def surface(self) -> TriangleMesh | None:
@@ -95,9 +107,15 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
         box=read_mesh(box) if box else None,
         metrics=read_metrics(folder / run_folder.METRICS_NAME, content),
         config_text=read_text(config) if config.is_file() else None,
-        record=run,
+        warnings=tuple(run.warnings),
+        stages=run.stages,
+        files=run.files,
+        folder=folder,
         silhouettes=Silhouettes.load(shadows) if shadows else None,
         planes_m=load_planes(folder / run_folder.PLANES_NAME).corners_m,
+        scene=(run.scene_name, run.scene_digest),
+        verdict=run.verdict,
+        numbers=run.numbers,
     )
 
 
@@ -137,32 +155,29 @@ def write_report(
     if run.surface is not None:
         view = view3d.scene_json(_view(run, copy, heatmap, num_threads))
     pictures = _draw(run, figures, kept, truth, heatmap, num_threads)
-    answer = answer_of(run.content, run.glints, run.record.numbers, run.metrics, run.record.verdict)
+    answer = answer_of(run.content, run.glints, run.numbers, run.metrics, run.verdict)
     sections = [
         Section("answer", "What was found", kind="answer", note=_NO_VIEW),
-        *run_sections.ruled_out(run.record.numbers.get("mesh", {})),
+        *run_sections.ruled_out(run.numbers.get("mesh", {})),
         *pictures,
         *_evaluation(run, answer),
         *_renderings(folder),
         *_histories(log, figures),
-        *run_sections.tables(run.record.stages, run.metrics, run.surface),
-        *run_sections.provenance(run.record, known, log),
-        *run_sections.settings(run.config_text, run.record.stages),
-        *run_sections.definitions(run.record.stages, run.surface),
+        *run_sections.tables(run.stages, run.metrics, run.surface),
+        *run_sections.provenance(folder, run.scene, run.files, known, log),
+        *run_sections.settings(run.config_text, run.stages),
+        *run_sections.definitions(run.stages, run.surface),
     ]
     # Notes of calibration are in its section, not among the warnings.
-    notes = {
-        f"calibrated {text}"
-        for text in run.record.numbers.get("calibration", {}).get("applied", ())
-    }
+    notes = {f"calibrated {text}" for text in run.numbers.get("calibration", {}).get("applied", ())}
     page = html.render_template(
         "run.html",
         title=f"What is in the box: {name or run_folder.place_of(folder)}",
-        verdict=run.record.verdict,
-        meta=run_sections.meta(run.record.scene_name, run.config_text, log),
+        verdict=run.verdict,
+        meta=run_sections.meta(run.scene[0], run.config_text, log),
         sections=sections,
         answer=answer,
-        warnings=[line for line in dict.fromkeys(run.record.warnings) if line not in notes],
+        warnings=[line for line in dict.fromkeys(run.warnings) if line not in notes],
         view=view,
     )
     write_text_atomic(folder / run_folder.REPORT_NAME, page)
@@ -179,7 +194,7 @@ def run_view(run_dir: AnyPath) -> str | None:
     return html.render_template(
         "view_page.html",
         title=run_folder.place_of(folder),
-        views=[("", view3d.scene_json(scene), run.record.verdict)],
+        views=[("", view3d.scene_json(scene), run.verdict)],
         fallback=_NO_VIEW.split(";", maxsplit=1)[0] + ".",
         is_tall=False,
     )
@@ -194,7 +209,7 @@ def run_scene(folder: Path) -> dict[str, Any] | None:
 
 
 def _known_truth(run: RunArtefacts) -> tuple[TriangleMesh, Floats] | None:
-    path = run.record.path / run_folder.TRUTH_COPY
+    path = run.folder / run_folder.TRUTH_COPY
     is_known = "scores" in run.metrics and path.is_file() and run.surface is not None
     return stored_truth(path) if is_known else None
 
@@ -218,7 +233,7 @@ def _view(
             num_threads=num_threads,
         )
     volumes = [] if heatmap is None else [heat_map(*heatmap)]
-    stored = run.record.path / run_folder.IMAGE_NAME
+    stored = run.folder / run_folder.IMAGE_NAME
     if not volumes and stored.is_file() and stored.stat().st_size < _MAX_IMAGE_BYTES:
         volumes = [read_heat_map(stored)]
     if with_field and run.sdf is not None:
@@ -228,18 +243,18 @@ def _view(
         truth=None if copy is None else copy[0],
         glints=run.glints,
         planes_m=run.planes_m,
-        faces=box_faces(run.record.numbers.get("box", {})),
+        faces=box_faces(run.numbers.get("box", {})),
         volumes=volumes,
     )
     content = run.surface or view3d.NOTHING
-    return view3d.view_scene(content, attributes, around, name=run.record.scene_name or "view")
+    return view3d.view_scene(content, attributes, around, name=run.scene[0] or "view")
 
 
 def _truth_copy(
     run: RunArtefacts, truth: TriangleMesh | None, scores_kept: bool, num_threads: int | None
 ) -> tuple[TriangleMesh, Floats] | None:
     """Thinned truth for the view, and distance of each vertex of the content to it [m]."""
-    path = run.record.path / run_folder.TRUTH_COPY
+    path = run.folder / run_folder.TRUTH_COPY
     if run.surface is None:
         return None
     if truth is not None and truth.faces.shape[0]:
@@ -284,7 +299,7 @@ def _draw(
         colour = "grey: the mesh has no expected errors"
         if content.expected_error_m is not None:
             colour = "coloured by expected error, one standard deviation"
-            colour += ", which does not hold here" if not_determined(run.record.verdict) else ""
+            colour += ", which does not hold here" if not_determined(run.verdict) else ""
         note = f"The content from four sides, {colour}{beside}; no perspective."
         add("surface", "Surface", figures / "mesh.png", note)
     if content is not None and truth is not None:
@@ -303,7 +318,7 @@ def _draw(
             shadow_pictures(run.silhouettes, content, figures / "shadows.png", truth=truth)
         note = "Echo of the far walls behind the content; no echo shows tops and bottoms."
         add("shadows", "Shadows", figures / "shadows.png", note)
-    if "los" in run.record.stages and (figures.parent / LOS_VIEWS).is_file():
+    if "los" in run.stages and (figures.parent / LOS_VIEWS).is_file():
         note = "Photos of the box, the surface trained from them, and its outward normals."
         add("line-of-sight", "Line of sight", figures.parent / LOS_VIEWS, note)
     if heatmap is not None:
@@ -319,7 +334,7 @@ def _evaluation(run: RunArtefacts, answer: Answer) -> list[Section]:
     if "scores" not in run.metrics:
         return []
     parts = [html.part("facts", answer.scores)]
-    curves = run.record.path / run_folder.FIGURES_FOLDER / run_folder.ERRORS_NAME
+    curves = run.folder / run_folder.FIGURES_FOLDER / run_folder.ERRORS_NAME
     if curves.is_file():
         parts.append(html.picture(curves, name="evaluation"))
     parts.append(html.part("metrics_tables", run.metrics))

@@ -14,7 +14,7 @@ from geraf2.evaluation import MeshMetrics
 from geraf2.io import run_folder
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.regular import TEXT_BYTES, read_regular
-from geraf2.io.run_folder import RunFolder, StageRecord
+from geraf2.io.run_folder import StageRecord
 from geraf2.io.text import parse_json
 from geraf2.io.text import read_object as read_json
 from geraf2.io.toml import parse_toml
@@ -183,10 +183,14 @@ def tables(
 
 
 def provenance(
-    run: RunFolder, known: Mapping[str, Any], log: Sequence[Mapping[str, Any]]
+    folder: Path,
+    scene: tuple[str, str],
+    digests: Mapping[str, str],
+    known: Mapping[str, Any],
+    log: Sequence[Mapping[str, Any]],
 ) -> list[Section]:
     """Section on the origin of data and result, the command to repeat it, and the files."""
-    started, folder = _last(log, "start"), run.path
+    started = _last(log, "start")
     rows = [("report drawn by", f"geraf2 {__version__}")]
     if started:
         version, python = started.get("version", "?"), started.get("python", "?")
@@ -198,8 +202,8 @@ def provenance(
     if isinstance(made_from, dict):
         rows.append(("repeat it by", str(made_from.get("command", "?"))))
         rows.append(("prior, digest", str(made_from.get("prior", "?"))))
-    if run.scene_name:
-        rows.append(("scene", f"{run.scene_name}, digest {run.scene_digest}"))
+    if scene[0]:
+        rows.append(("scene", f"{scene[0]}, digest {scene[1]}"))
     rows += [(str(name), str(text)) for name, text in known.items()]
     parts = [html.part("table", "", (), rows, text=True)]
     files = []
@@ -207,7 +211,7 @@ def provenance(
         if (folder / name).is_file():
             size = (folder / name).stat().st_size
             written = f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{max(1, round(size / 1e3))} kB"
-            files.append((name, what, written, run.files.get(name, "")))
+            files.append((name, what, written, digests.get(name, "")))
     if files:
         parts.append(html.part("file_table", files))
     note = "Where data and result come from, and the command that repeats the run."

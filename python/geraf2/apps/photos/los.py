@@ -11,7 +11,7 @@ import numpy as np
 from geraf2 import __version__
 from geraf2._types import Floats, Progress
 from geraf2.apps.photos.formats import find_photos, open_photos
-from geraf2.apps.photos.photo_checks import require_photos_in_view, require_plausible_photos
+from geraf2.apps.photos.photo_checks import check_photos, require_photos_in_view
 from geraf2.apps.photos.photo_store import load_photos
 from geraf2.calibration.box_finder import find_box
 from geraf2.errors import UserError
@@ -31,6 +31,7 @@ from geraf2.io.text import parse_json
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions, PhotoPreset
 from geraf2.scene import load_capture
+from geraf2.scene.checks import require_no_errors
 from geraf2.scene.los import LosPrior
 from geraf2.scene.photos import PhotoSet
 from geraf2.scene.summary import CaptureSummary
@@ -216,7 +217,7 @@ def read_photos(source: Path, options: LosOptions, listener: Listener | None = N
         listener.warning(f"{source}: {note}")
     if len(loaded.notes) > _MAX_NOTES:
         listener.warning(f"{source}: {len(loaded.notes) - _MAX_NOTES} more such lines")
-    listener.findings(require_plausible_photos(loaded.photos, source))
+    listener.findings(require_no_errors(check_photos(loaded.photos), source))
     if loaded.photos.masks is None:
         raise UserError(
             what="shows no silhouettes of the box, without which its surface is not found",

@@ -6,7 +6,7 @@ import numpy as np
 
 from geraf2._types import Floats
 from geraf2.errors import UserError
-from geraf2.scene.checks import Finding, error, format_mm, require_no_errors, warning
+from geraf2.scene.checks import Finding, error, format_mm, warning
 from geraf2.scene.photos import PhotoSet
 
 MIN_PHOTOS = 3
@@ -54,11 +54,6 @@ def check_photos(photos: PhotoSet) -> tuple[Finding, ...]:
     if len(photos) < _FEW_PHOTOS:
         findings.append(warning(f"only {len(photos)} photos; 20 to 200 make a good surface"))
     return tuple(sorted(findings, key=lambda finding: finding.severity))
-
-
-def require_plausible_photos(photos: PhotoSet, where: object) -> tuple[Finding, ...]:
-    """Raise UserError with the first error found; otherwise return the warnings."""
-    return require_no_errors(check_photos(photos), where)
 
 
 def require_photos_in_view(
