@@ -4,7 +4,7 @@ ValueError states what is wrong with the bytes.
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
@@ -166,19 +166,6 @@ def _require_rows(text: bytes, n_before: int, elements: Sequence[_Element]) -> N
         raise ValueError(msg)
 
 
-def _row_by_row(
-    element: _Element, take: Callable[[str, int, int], Sequence[float]]
-) -> dict[str, Any]:
-    """Rows with lists of any lengths; take(kind, n, row) gives the next n numbers."""
-    parts: dict[str, tuple[list[float], list[int]]] = {one: ([], []) for one, *_ in element[2]}
-    for row in range(element[1]):
-        for one, kind, length in element[2]:
-            n = 1 if length is None else int(take(length, 1, row)[0])
-            parts[one][0].extend(take(kind, n, row))
-            parts[one][1].append(n)
-    return {name: _indices(*of) for name, of in parts.items()}
-
-
 def _indices(values: Any, counts: Any) -> tuple[Ints, Ints]:
     numbers = np.asarray(values)
     if not np.isfinite(numbers).all():
@@ -210,14 +197,18 @@ def _binary_rows(data: bytes, order: str, at: int, element: _Element) -> tuple[d
                 counts = np.full(count, rows[one].shape[1])
                 found[one] = flat if length is None else _indices(flat, counts)
             return found, at + count * size
-
-    def take(kind: str, n: int, row: int) -> list[float]:
-        nonlocal at
-        values = _values(data, at, order + kind, n, element, row)
-        at += n * np.dtype(kind).itemsize
-        return values
-
-    return _row_by_row(element, take), at
+    parts: dict[str, tuple[list[float], list[int]]] = {one: ([], []) for one, *_ in properties}
+    for row in range(count):
+        for one, kind, length in properties:
+            n = 1
+            if length is not None:
+                n = int(_values(data, at, order + length, 1, element, row)[0])
+                at += np.dtype(length).itemsize
+            parts[one][0].extend(_values(data, at, order + kind, n, element, row))
+            parts[one][1].append(n)
+            at += n * np.dtype(kind).itemsize
+    lists = {one for one, _, length in properties if length is not None}
+    return {k: _indices(*v) if k in lists else np.array(v[0]) for k, v in parts.items()}, at
 
 
 def _values(data: bytes, at: int, kind: str, n: int, element: _Element, row: int) -> list[float]:
