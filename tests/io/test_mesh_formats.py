@@ -183,6 +183,16 @@ def test_ply_of_strips(tmp_path, encoding):
     assert abs(volume(tmp_path / "a.ply")) == pytest.approx(6.0)
 
 
+def test_vertices_beside_lists_of_different_lengths_are_no_integers(tmp_path):
+    properties = [*(f"property float {axis}" for axis in "xyz"), "property list uchar int near"]
+    head = ["ply", "format ascii 1.0", "element vertex 3", *properties, "element face 1"]
+    head += ["property list uchar int vertex_index", "end_header"]
+    rows = ["0.5 0 0 1 2", "1.5 0 0 2 0 2", "0 1.25 0 0", "3 0 1 2"]
+    (tmp_path / "a.ply").write_text("\n".join([*head, *rows]) + "\n")
+    vertices = read_mesh(tmp_path / "a.ply").vertices
+    np.testing.assert_allclose(vertices, [[0.5, 0, 0], [1.5, 0, 0], [0, 1.25, 0]])
+
+
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("faces", [QUADS, MIXED], ids=["quads", "mixed"])
 def test_a_ply_that_is_cut_off_names_its_rows(tmp_path, encoding, faces):
