@@ -6,7 +6,7 @@ positions come from a robot log or a raster, or the radar stood still. Stretches
 between which the board turns are planes.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,11 +48,8 @@ class Dca1000Importer:
         log = read_log(options.positions, keep_good=options.keep_good)
         period_s = radar.raw.frame_period_s or recording.config.frame_period_s
         is_one = log.times_s is None or log.scan is not None or recording.n_positions is not None
-
-        def divide(track: Track) -> Track:
-            return track if is_one or not period_s else divide_at_turns(track, period_s)
-
-        return scan_of("dca1000", recording, radar, options, log=log, divide=divide)
+        period_s = None if is_one else period_s
+        return scan_of("dca1000", recording, radar, options, log=log, period_s=period_s)
 
 
 def scan_of(
@@ -62,13 +59,13 @@ def scan_of(
     options: ImportOptions,
     *,
     log: RobotLog | None,
-    divide: Callable[[Track], Track] = lambda track: track,
+    period_s: float | None = None,
 ) -> Scan:
     """Scan of a recording with its positions.
 
     name: of the importer.
     log: positions, where there is no raster and the radar moved.
-    divide: finds the planes of a track.
+    period_s: time between frames, where stretches between turns of the board are planes.
     """
     evidence, config = recording.evidence, recording.config
     _require_single_positions(recording, radar)
@@ -99,20 +96,16 @@ def scan_of(
         n_rx=evidence.order.n_rx,
         center_hz=waveform.start_frequency_hz + half_sweep_s * waveform.chirp_slope_hz_per_s,
     )
-    track = divide(_track(recording, radar, options, board, log))
+    track = _track(recording, radar, options, board, log)
+    track = divide_at_turns(track, period_s) if period_s else track
     tracks = planes_of(remove_positions(track, recording.missing_positions))
     per_position = recording.n_tx * evidence.order.n_rx
-
-    def poses() -> Iterator[RawPose]:
-        for own in tracks:
-            yield from read_pose(recording, own, board)
-
     return Scan(
         manifest=manifest,
         n_antennas=tuple(
             per_position * sum(stop - first for first, stop in own.ranges) for own in tracks
         ),
-        poses=poses,
+        poses=lambda: (part for own in tracks for part in read_pose(recording, own, board)),
         thinned=lambda n_antennas: [
             _read_some(recording, own, board, -(-n_antennas // len(tracks))) for own in tracks
         ],

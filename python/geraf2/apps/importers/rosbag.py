@@ -15,7 +15,6 @@ from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._bag import Bag, read_bag
 from geraf2.apps.importers._recording import Recording, open_recording
 from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
-from geraf2.apps.importers._tracks import divide_at_turns
 from geraf2.apps.importers.clock_offset import (
     MAX_OFFSET_S,
     ClockOffset,
@@ -62,23 +61,15 @@ class RosbagImporter:
             offset = 1e3 * found.offset_s
         else:
             text = f"radar {offset:g} ms late, given"
-        raw = radar.raw.model_copy(
-            update={"start_time_s": bag.start_s - 1e-3 * offset, "frame_period_s": bag.period_s}
-        )
+        clock = {"start_time_s": bag.start_s - 1e-3 * offset, "frame_period_s": bag.period_s}
         recording = replace(
             recording,
             missing_positions=bag.lost,
             notes=(*bag.notes, *recording.notes, *notes),
             facts=(*bag.facts, ("clock offset", text), *recording.facts),
         )
-        return scan_of(
-            "rosbag",
-            recording,
-            radar.model_copy(update={"raw": raw}),
-            options,
-            log=bag.log,
-            divide=lambda track: divide_at_turns(track, bag.period_s),
-        )
+        radar = radar.model_copy(update={"raw": radar.raw.model_copy(update=clock)})
+        return scan_of("rosbag", recording, radar, options, log=bag.log, period_s=bag.period_s)
 
 
 def _recording(bag: Bag, source: Path, radar: RadarManifest, options: ImportOptions) -> Recording:
@@ -90,9 +81,8 @@ def _recording(bag: Bag, source: Path, radar: RadarManifest, options: ImportOpti
     is_given = radar.raw.n_chirps_per_frame or recording.config.n_chirps_per_frame
     if not rest and n_chirps != recording.n_chirps_per_frame and not is_given:
         raw = radar.raw.model_copy(update={"n_chirps_per_frame": n_chirps})
-        return open_recording(
-            source, radar.model_copy(update={"raw": raw}), options, stream=bag.frames
-        )
+        radar = radar.model_copy(update={"raw": raw})
+        return open_recording(source, radar, options, stream=bag.frames)
     if bag.frame_bytes != recording.frame_bytes:
         raise UserError(
             what="a message is not one frame",
