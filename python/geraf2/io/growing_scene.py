@@ -56,9 +56,8 @@ class GrowingScene:
     @property
     def _is_begun(self) -> bool:
         """Whether the folder holds nothing but a first plane that was not finished."""
-        return self.path.is_dir() and {entry.name for entry in self.path.iterdir()} <= {
-            container.RADAR_NAME
-        }
+        here = self.path
+        return here.is_dir() and all(e.name == container.RADAR_NAME for e in here.iterdir())
 
     def _continue(self) -> None:
         """Take over the planes of the folder; those that are half written are dropped."""

@@ -197,20 +197,15 @@ def _store(url: str) -> Any:
 
 @contextmanager
 def _as_os_errors(path: Path) -> Iterator[None]:
-    from obstore.exceptions import (  # noqa: PLC0415 - an extra
-        BaseError,
-        NotFoundError,
-        PermissionDeniedError,
-        UnauthenticatedError,
-    )
+    from obstore import exceptions as raised  # noqa: PLC0415 - an extra
 
     try:
         yield
-    except (FileNotFoundError, NotFoundError):
+    except (FileNotFoundError, raised.NotFoundError):
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), _url(path)) from None
-    except (PermissionDeniedError, UnauthenticatedError) as error:
+    except (raised.PermissionDeniedError, raised.UnauthenticatedError) as error:
         raise PermissionError(errno.EACCES, _first_line(error), _url(path)) from None
-    except BaseError as error:
+    except raised.BaseError as error:
         raise OSError(errno.EIO, _first_line(error), _url(path)) from None
 
 

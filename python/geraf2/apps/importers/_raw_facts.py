@@ -56,23 +56,14 @@ def describe(
     sides = f"energy of the two sides of the spectrum {max(ratio, 1 / ratio):.4g} : 1"
     stored = order.per_complex * evidence.n_samples
     made = f", read as {evidence.n_samples} complex ones at half the rate" if order.is_real else ""
+    layout = "samples are real" if order.is_real else f"{sides}{other * bool(evidence.next_layout)}"
+    jumps = f"the signal jumps {evidence.jump_ratio:.3g} times as much from chirp to chirp as from"
+    chirps = f"{n_frames * n_chirps} chirps x {evidence.n_samples} samples x {order.n_rx} receivers"
+    frames = f"{n_frames} frames of {n_chirps // n_tx} loops x {n_tx} transmitters"
     return [
-        (
-            "layout",
-            f"{order}: samples are real"
-            if order.is_real
-            else f"{order}: {sides}{other if evidence.next_layout else ''}",
-        ),
-        (
-            "samples per chirp",
-            f"{stored}{made}, {found}: the signal jumps {evidence.jump_ratio:.3g} times as "
-            "much from chirp to chirp as from sample to sample",
-        ),
-        (
-            "recording",
-            f"{n_frames * n_chirps} chirps x {evidence.n_samples} samples x {order.n_rx} receivers,"
-            f" {n_frames} frames of {n_chirps // n_tx} loops x {n_tx} transmitters",
-        ),
+        ("layout", f"{order}: {layout}"),
+        ("samples per chirp", f"{stored}{made}, {found}: {jumps} sample to sample"),
+        ("recording", f"{chirps}, {frames}"),
     ]
 
 

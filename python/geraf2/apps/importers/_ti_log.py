@@ -119,12 +119,8 @@ def read_log(text: str, path: Path) -> ti.TiConfig:
 def _calls(text: str, path: Path) -> list[_Call]:
     """Return the calls in their order in the file."""
     pattern = _COMMENTS.get(path.suffix.lower(), _LUA_COMMENTS)
-    script = re.sub(  # line ends of comments keep the numbers of the lines
-        pattern,
-        lambda match: "\n" * match[0].count("\n") or " ",
-        text,
-        flags=re.DOTALL | re.MULTILINE,
-    )
+    # Line ends of comments keep the numbers of the lines.
+    script = re.sub(f"(?ms){pattern}", lambda found: "\n" * found[0].count("\n") or " ", text)
     found = [(match.start(), True, match) for match in _LOG_CALL.finditer(script)]
     found += [(match.start(), False, match) for match in _SCRIPT_CALL.finditer(script)]
     calls = []
