@@ -50,13 +50,8 @@ class View:
     def axes(self) -> Floats:
         """Rows: right, up and towards the viewer as unit vectors in the frame, (3, 3)."""
         azimuth, elevation = np.deg2rad(self.azimuth_deg), np.deg2rad(self.elevation_deg)
-        toward = np.array(
-            [
-                np.cos(elevation) * np.cos(azimuth),
-                np.cos(elevation) * np.sin(azimuth),
-                np.sin(elevation),
-            ]
-        )
+        ahead = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        toward = np.cos(elevation) * ahead + np.sin(elevation) * np.array([0.0, 0.0, 1.0])
         right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
         return np.stack([right, np.cross(toward, right), toward])
 

@@ -76,12 +76,8 @@ class PhotoRays:
         rim = ndimage.distance_transform_edt(~mask) <= max(_MIN_RIM, _RIM * max(mask.shape))
         pixels = np.argwhere(rim | (rng.random(mask.shape) < _FAR_RIM_SHARE))
         origins, directions = camera.rays(pixels[:, ::-1] + 0.5)
-        near, far = intersect_box(
-            torch.from_numpy(origins),
-            torch.from_numpy(directions),
-            torch.tensor(self.region.low_m, dtype=torch.float64),
-            torch.tensor(self.region.high_m, dtype=torch.float64),
-        )
+        corners = np.array([self.region.low_m, self.region.high_m])
+        near, far = intersect_box(*map(torch.from_numpy, (origins, directions, *corners)))
         pixels = pixels[(far > near).numpy()]
         rows, columns = pixels[:, 0], pixels[:, 1]
         return (
