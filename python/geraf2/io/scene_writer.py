@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Array
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.io import container
@@ -132,9 +132,7 @@ class SceneWriter(ExitStack):
             self._begun, self._n_begun = None, 0
             self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
 
-    def _write_antennas(
-        self, name: str, index: int, first: int, array: NDArray[np.generic]
-    ) -> None:
+    def _write_antennas(self, name: str, index: int, first: int, array: Array) -> None:
         """Append antennas from `first` on to the chunk files that they belong to."""
         done = 0
         while done < len(array):

@@ -315,13 +315,11 @@ def thin_mesh(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Ints, Ints
     return nearest[used], renumbered.reshape(joined.shape)
 
 
-def _thin_with_note(
-    mesh: TriangleMesh, max_faces: int, what: str
-) -> tuple[TriangleMesh, Ints, str]:
+def _thin_with_note(mesh: TriangleMesh, max_faces: int, of: str) -> tuple[TriangleMesh, Ints, str]:
     kept, faces = thin_mesh(mesh.vertices, mesh.faces, max_faces)
     if len(faces) == len(mesh.faces):
         return mesh, kept, ""
-    note = f"Shown are {len(faces):,} of the {len(mesh.faces):,} triangles of the {what}."
+    note = f"Shown are {len(faces):,} of the {len(mesh.faces):,} triangles of the {of}."
     return TriangleMesh(vertices=mesh.vertices[kept], faces=faces), kept, note
 
 

@@ -74,6 +74,11 @@ _FEW_WORDS = _N_PARTS * 6 * 728
 _MIN_WORDS, _MIN_SAMPLES = 1024, 8
 
 
+Orders = Sequence[WordOrder]
+Ratios = Mapping[WordOrder, float]
+"""Energies of the two sides of the spectrum, one over the other, by the order of the words."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class LayoutEvidence:
     """Order of the words, with its evidence."""
@@ -222,11 +227,7 @@ def find_layout(
 
 
 def _real_order(
-    words: Words,
-    layout: Layout | None,
-    candidates: Sequence[WordOrder],
-    is_real: bool | None,
-    where: object,
+    words: Words, layout: Layout | None, candidates: Orders, is_real: bool | None, where: object
 ) -> WordOrder | None:
     """Order of real samples; None where they are complex, or a complex layout is given."""
     if layout in LAYOUTS and is_real is None:
@@ -278,11 +279,7 @@ def _refuse_blocks(words: Words, n_rx: int, n_samples: int | None, where: object
 
 
 def _order_of_receivers(
-    words: Words,
-    candidates: Sequence[WordOrder],
-    best: WordOrder,
-    n_samples: int | None,
-    where: object,
+    words: Words, candidates: Orders, best: WordOrder, n_samples: int | None, where: object
 ) -> WordOrder:
     """Order of real samples whose chirps have the given length; UserError where that is unclear."""
     if n_samples is None:
@@ -299,7 +296,7 @@ def _order_of_receivers(
 
 
 def _order_of_pairs(
-    words: Words, ratios: Mapping[WordOrder, float], chosen: WordOrder, n_samples: int | None
+    words: Words, ratios: Ratios, chosen: WordOrder, n_samples: int | None
 ) -> WordOrder:
     """Order of I Q pairs of several receivers: sample after sample, or receiver after receiver."""
     # The given length of a chirp decides, or else the ratios: receivers with similar phases that
@@ -328,7 +325,7 @@ def _unclear_receivers(n_samples: int | None, where: object) -> UserError:
 
 
 def _choose_order(
-    ratios: Mapping[WordOrder, float], allowed: Sequence[WordOrder], where: object
+    ratios: Ratios, allowed: Orders, where: object
 ) -> tuple[WordOrder, tuple[str, ...]]:
     """Best allowed order, and notes; UserError where another one contradicts it."""
     one_sided = {order: _one_sided(ratio) for order, ratio in ratios.items()}
@@ -423,11 +420,7 @@ def _best_order(one_sided: dict[WordOrder, float]) -> WordOrder:
 
 
 def _with_samples(
-    words: Words,
-    chosen: WordOrder,
-    ratios: Mapping[WordOrder, float],
-    n_samples: int | None,
-    where: object,
+    words: Words, chosen: WordOrder, ratios: Ratios, n_samples: int | None, where: object
 ) -> LayoutEvidence:
     _require_pairs(chosen.layout, n_samples, where)
     found, jump = _found_samples(words, chosen, n_samples, where)

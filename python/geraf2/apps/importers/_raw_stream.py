@@ -387,9 +387,7 @@ def recording_files(source: Path) -> tuple[list[Path], list[str]]:
     return files, [f"{len(files)} files were joined as the parts of one recording: {names}"]
 
 
-def _why_separate(
-    files: Sequence[Path], numbered: Mapping[Path, re.Match[str] | None]
-) -> str | None:
+def _why_separate(files: list[Path], numbered: Mapping[Path, re.Match[str] | None]) -> str | None:
     """Reason why files are not the parts of one recording; None if they are."""
     matches = [match for path in files if (match := numbered[path])]
     if len(matches) < len(files) or len({match[1] for match in matches}) > 1:

@@ -222,7 +222,7 @@ def open_recording(
         share = f"{n_empty // chirp_bytes} of {n_bytes // chirp_bytes} chirps"
         text = f"the last {n_empty} bytes are zero ({share}): the recording stopped before its end"
         notes.append(text)
-    n_frames = _count_frames(n_bytes, frame_bytes, config, source, options, notes)
+    n_frames = _count_frames(n_bytes, frame_bytes, config, source, options.keep_good, notes)
     missing: tuple[int, ...] = ()
     if files.per_position:
         missing, odd = _odd_positions(files, frame_bytes, options.keep_good, source)
@@ -425,18 +425,13 @@ def _frame_structure(radar: RadarManifest, config: TiConfig) -> tuple[int, int]:
 
 
 def _count_frames(
-    n_bytes: int,
-    frame_bytes: int,
-    config: TiConfig,
-    source: Path,
-    options: ImportOptions,
-    notes: list[str],
+    n_bytes: int, frame_bytes: int, config: TiConfig, where: Path, keep_good: bool, notes: list[str]
 ) -> int:
     n_frames, rest = divmod(n_bytes, frame_bytes)
     if n_frames == 0:
         raise UserError(
             what="is shorter than one frame",
-            where=source,
+            where=where,
             expected=f"{frame_bytes} bytes or more",
             got=n_bytes,
         )
@@ -447,12 +442,12 @@ def _count_frames(
             "stopped, and not if packets were lost"
         )
         wrong = {"expected": f"a multiple of {frame_bytes}", "got": n_bytes}
-        note = note_omission(text, options.keep_good, source, hint, **wrong)
+        note = note_omission(text, keep_good, where, hint, **wrong)
         notes.append(f"{note} and was left out")
     if config.n_frames is not None and config.n_frames != n_frames:
         text = f"the configuration states {config.n_frames} frames, the file holds {n_frames}"
         hint = "--keep-good takes what is there"
-        notes.append(note_omission(text, options.keep_good, source, hint=hint))
+        notes.append(note_omission(text, keep_good, where, hint=hint))
     return n_frames
 
 

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 from geraf2._types import Floats
 
+Motion = Callable[[Floats], Floats]
+"""Positions (n, 3) [m] at times (n,) [s]."""
 MAX_OFFSET_S = 0.15
 """Largest offset that is searched [s]."""
 _STEP_S, _N_FINE = 5e-4, 8
@@ -63,13 +65,10 @@ class Sweep:
     """(n, n_channels, n_samples)."""
 
 
-def straight_lines(
-    span_s: tuple[float, float], positions_at: Callable[[Floats], Floats]
-) -> list[tuple[float, float]]:
+def straight_lines(span_s: tuple[float, float], positions_at: Motion) -> list[tuple[float, float]]:
     """Begin and end of each straight line of a motion [s].
 
     span_s: begin and end of the motion [s].
-    positions_at: positions (n, 3) [m] at times (n,) [s].
     """
     times = np.linspace(*span_s, max(3, int((span_s[1] - span_s[0]) / _POSITION_STEP_S)))
     positions = positions_at(times)
@@ -94,12 +93,11 @@ def straight_lines(
 
 
 def find_clock_offset(
-    sweeps: Sequence[Sweep], positions_at: Callable[[Floats], Floats], wavelength_m: float
+    sweeps: Sequence[Sweep], positions_at: Motion, wavelength_m: float
 ) -> ClockOffset:
     """Offset of the radar's clock, and its standard deviation.
 
     sweeps: in order of time.
-    positions_at: positions (n, 3) [m] at times (n,) [s] on the clock of the positions.
     """
     sweeps = _with_ranges(sweeps)
     offset, sigma, contrast, n = 0.0, np.inf, np.inf, 0
@@ -155,10 +153,7 @@ class _Triple:
 
 
 def _triple(
-    sweeps: Sequence[Sweep],
-    offset_s: float,
-    positions_at: Callable[[Floats], Floats],
-    wavelength_m: float,
+    sweeps: Sequence[Sweep], offset_s: float, positions_at: Motion, wavelength_m: float
 ) -> _Triple | None:
     """Product of three sweeps; None where they do not alternate in direction."""
     ends = np.array([positions_at(np.array(sweep.interval_s)) for sweep in sweeps])

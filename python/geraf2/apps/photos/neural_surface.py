@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from geraf2._types import Array, Floats32
 from geraf2.apps.photos.config import PhotoConfig
@@ -70,7 +70,7 @@ class NeuralSurface:
         return intersect_box(origins, directions, low, high)
 
     def render_rays(
-        self, rays: tuple[Tensor, Tensor], generator: torch.Generator | None = None
+        self, rays: tuple[Tensor, Tensor], generator: Generator | None = None
     ) -> Rendering:
         """Render rays by :func:`geraf2.apps.photos.neus.rendering.render_rays`."""
         sampling, radius_m = self.config.sampling, self.region.radius_m

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from scipy import ndimage
-from torch import Tensor
+from torch import Generator, Tensor
 
 from geraf2._types import Bools, Bytes, Floats32
 from geraf2.apps.photos.formats.masks import close_cracks
@@ -87,7 +87,7 @@ class PhotoRays:
             (close_cracks(mask) == mask)[rows, columns],
         )
 
-    def batch(self, n: int, generator: torch.Generator) -> RayBatch:
+    def batch(self, n: int, generator: Generator) -> RayBatch:
         """Draw `n` rays, each as likely as any other."""
         chosen = torch.randint(len(self), (n,), generator=generator)
         return RayBatch(

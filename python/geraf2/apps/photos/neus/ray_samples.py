@@ -1,7 +1,7 @@
 """Samples along the rays of a photo: intersections, even intervals, importance."""
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from geraf2.ops.ray_march import ray_march
 
@@ -26,7 +26,7 @@ def intersect_box(
 
 
 def even_edges(
-    near: Tensor, far: Tensor, n_intervals: int, generator: torch.Generator | None = None
+    near: Tensor, far: Tensor, n_intervals: int, generator: Generator | None = None
 ) -> Tensor:
     """Edges of equal intervals from near to far, (n_rays, n_intervals + 1) [m].
 
@@ -52,11 +52,7 @@ def slopes(sdf: Tensor, middles: Tensor) -> Tensor:
 
 
 def importance_edges(
-    edges: Tensor,
-    sdf: Tensor,
-    inv_s: float,
-    n_intervals: int,
-    generator: torch.Generator | None = None,
+    edges: Tensor, sdf: Tensor, inv_s: float, n_intervals: int, generator: Generator | None = None
 ) -> Tensor:
     """Edges of intervals that are dense where a ray meets the surface.
 
@@ -80,7 +76,7 @@ def importance_edges(
     return _inverse(edges, density, n_intervals + 1, generator)
 
 
-def _inverse(edges: Tensor, density: Tensor, n: int, generator: torch.Generator | None) -> Tensor:
+def _inverse(edges: Tensor, density: Tensor, n: int, generator: Generator | None) -> Tensor:
     """Quantiles of a density that is constant between edges, (n_rays, n) [m]."""
     total = torch.cumsum(density, dim=1)
     total = torch.cat([torch.zeros_like(total[:, :1]), total], dim=1)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from geraf2._validation import require_least
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
@@ -53,7 +53,7 @@ def sample_edges(
     span: tuple[Tensor, Tensor],
     config: PhotoSamplingConfig,
     inv_s: tuple[float, float],
-    generator: torch.Generator | None = None,
+    generator: Generator | None = None,
 ) -> Tensor:
     """Edges of the intervals to render, (n_rays, n + 1) [m]; no gradient.
 
