@@ -23,17 +23,9 @@ from geraf2.io.planes import load_planes
 from geraf2.io.run_folder import RunFolder, StageRecord
 from geraf2.io.text import read_text
 from geraf2.io.verdict import Verdict, not_determined
+from geraf2.report import figures as draw
 from geraf2.report import html, run_sections, view3d
 from geraf2.report.answer import Answer, answer_of
-from geraf2.report.figures import (
-    error_curves,
-    glint_overview,
-    growth_curves,
-    loss_curves,
-    mesh_views,
-    projections,
-    sdf_slices,
-)
 from geraf2.report.outlines import shadow_pictures
 from geraf2.report.run_sections import Section, read_log, read_object
 from geraf2.report.stored_scores import read_metrics, read_psnr
@@ -306,11 +298,13 @@ def _draw(
         _draw_errors(content, truth, figures / run_folder.ERRORS_NAME, num_threads)
     if run.sdf is not None:
         if "slices.png" not in kept:
-            sdf_slices(run.sdf, figures / "slices.png", glints=run.glints, truth=truth, box=run.box)
+            draw.sdf_slices(
+                run.sdf, figures / "slices.png", glints=run.glints, truth=truth, box=run.box
+            )
         note = "Three cuts through the middle of the content: the black line is its surface."
         add("slices", "Signed distance", figures / "slices.png", note)
     if run.glints is not None and len(run.glints):
-        glint_overview(run.glints, figures / "glints.png", box=run.box)
+        draw.glint_overview(run.glints, figures / "glints.png", box=run.box)
         note = "Points that sent an echo straight back: position, strength and plane of antennas."
         add("glints", "Glints", figures / "glints.png", note)
     if run.silhouettes is not None and len(run.silhouettes):
@@ -322,7 +316,7 @@ def _draw(
         note = "Photos of the box, the surface trained from them, and its outward normals."
         add("line-of-sight", "Line of sight", figures.parent / LOS_VIEWS, note)
     if heatmap is not None:
-        projections(heatmap[0], heatmap[1], figures / "projections.png", box=run.box)
+        draw.projections(heatmap[0], heatmap[1], figures / "projections.png", box=run.box)
     if (figures / "projections.png").is_file():
         note = "Largest magnitude of the matched-filter image along each axis."
         add("heat-map", "Heat map", figures / "projections.png", note)
@@ -372,12 +366,12 @@ def _histories(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]
     """Sections of the losses of a training, and of a surface that grew with the scan."""
     sections = []
     if losses := run_sections.losses(log):
-        loss_curves(losses, figures / "losses.png")
+        draw.loss_curves(losses, figures / "losses.png")
         note = "Terms of the loss over the steps of the training, means since the line before. "
         note = (note + run_sections.level_moved(log)).strip()
         sections.append(_pictured("training", "Training", figures / "losses.png", note))
     if growth := run_sections.growth(log):
-        growth_curves(growth, figures / "growth.png")
+        draw.growth_curves(growth, figures / "growth.png")
         note = "Expected error and seen share of the surface after each plane, while the scan was "
         note += "made."
         sections.append(_pictured("growth", "Growth", figures / "growth.png", note))
@@ -399,7 +393,7 @@ def _draw_mesh(
     distances = None
     if truth is not None:
         distances = signed_distances(truth, content.vertices, num_threads=num_threads)
-    mesh_views(content, path, truth=truth, distances_m=distances, num_threads=num_threads)
+    draw.mesh_views(content, path, truth=truth, distances_m=distances, num_threads=num_threads)
 
 
 def _draw_errors(
@@ -407,7 +401,7 @@ def _draw_errors(
 ) -> None:
     rng = np.random.default_rng(0)
     on_content, on_truth = (sample_surface(mesh, 5000, rng) for mesh in (content, truth))
-    error_curves(
+    draw.error_curves(
         {
             "mesh to truth": signed_distances(truth, on_content, num_threads=num_threads),
             "truth to mesh": signed_distances(content, on_truth, num_threads=num_threads),
