@@ -125,13 +125,9 @@ class Importer(Protocol):
 
 def load_importer(name: str) -> Importer:
     """Return the importer of a format; UserError for an unknown one."""
-    points = _points()
+    own = [EntryPoint(n, f"{__name__}.{v}", ENTRY_POINT_GROUP) for n, v in _OWN.items()]
+    points = {point.name: point for point in (*own, *entry_points(group=ENTRY_POINT_GROUP))}
     if name not in points:
         raise UserError(what=f"unknown format {name!r}", expected=" or ".join(sorted(points)))
     importer: Importer = points[name].load()()
     return importer
-
-
-def _points() -> dict[str, EntryPoint]:
-    own = [EntryPoint(n, f"{__name__}.{v}", ENTRY_POINT_GROUP) for n, v in _OWN.items()]
-    return {point.name: point for point in (*own, *entry_points(group=ENTRY_POINT_GROUP))}

@@ -97,7 +97,7 @@ def read_bag(source: Path, options: ImportOptions, period_s: float | None) -> Ba
         table, frame_id, field = bag.copy_frames(samples, file)
         log, origin = bag.read_log(frame_id, int(table[0, 0]))
         frame_bytes = int(np.median(table[:, 1]))
-        notes, good = _usable_messages(table, frame_bytes, samples, options, source)
+        notes, good = bag.usable(table, frame_bytes, samples)
         table = table[good]
         times = (table[:, 0] - table[0, 0]) * 1e-9
         numbers, start_s, period_s = frame_clock(times, period_s, samples, source)
@@ -148,25 +148,6 @@ def frame_clock(
     near = late <= max(4 * float(np.median(late)), 1e-6)
     period_s, start_s = np.polyfit(numbers[near], times_s[near], 1)
     return numbers, float(start_s), float(period_s)
-
-
-def _usable_messages(
-    table: Ints, frame_bytes: int, topic: str, options: ImportOptions, where: Path
-) -> tuple[list[str], Bools]:
-    """Mask of the usable messages, after notes on the others."""
-    notes = []
-    odd = table[:, 1] != frame_bytes
-    if odd.any():
-        text = f"{int(odd.sum())} of {len(odd)} messages of {topic} have another size"
-        sizes = {"expected": f"{frame_bytes} bytes", "got": f"{table[odd][0, 1]} bytes"}
-        notes.append(note_omission(text, options.keep_good, where, **sizes))
-    latest = np.maximum.accumulate(np.concatenate([[-1], table[:-1, 0]]))
-    back = table[:, 0] <= latest
-    if back.any():
-        at = f"{int(back.sum())} of {len(back)} messages"
-        text = f"time stamps of {topic} do not increase at {at}"
-        notes.append(note_omission(text, options.keep_good, where))
-    return notes, np.asarray(~odd & ~back)
 
 
 class _Messages:
@@ -243,6 +224,22 @@ class _Messages:
         if not rows:
             raise UserError(what=f"{topic} holds no message", where=self._where)
         return np.array(rows, dtype=np.int64), frame_id, field
+
+    def usable(self, table: Ints, frame_bytes: int, topic: str) -> tuple[list[str], Bools]:
+        """Mask of the usable messages, after notes on the others."""
+        notes, keep_good = [], self._options.keep_good
+        odd = table[:, 1] != frame_bytes
+        if odd.any():
+            text = f"{int(odd.sum())} of {len(odd)} messages of {topic} have another size"
+            sizes = {"expected": f"{frame_bytes} bytes", "got": f"{table[odd][0, 1]} bytes"}
+            notes.append(note_omission(text, keep_good, self._where, **sizes))
+        latest = np.maximum.accumulate(np.concatenate([[-1], table[:-1, 0]]))
+        back = table[:, 0] <= latest
+        if back.any():
+            at = f"{int(back.sum())} of {len(back)} messages"
+            text = f"time stamps of {topic} do not increase at {at}"
+            notes.append(note_omission(text, keep_good, self._where))
+        return notes, np.asarray(~odd & ~back)
 
     def _used_arrays(self, message: Any, topic: str) -> list[tuple[str, str]]:
         """Array of samples, the longest: others hold shapes and settings; or I and Q."""
