@@ -80,22 +80,6 @@ def test_a_single_plane_without_a_box(tmp_path, capsys):
     assert "unambiguous" not in warned
 
 
-@pytest.mark.parametrize(
-    ("flags", "texts"),
-    [
-        (["--array", "awr1843"], ["12 at once\n", "Of --preset fast, for metal objects"]),
-        (["--preset", "awr1843", "--channels", "2"], ["2 at once\n"]),
-        ([], ["1 at once; --channels or --array names more"]),
-        (["--box", "0.5", "0.5", "0.5", "--max-elevation-deg", "0"], ["unknown: "]),
-    ],
-)
-def test_a_plan_names_its_board_and_what_its_forecast_holds_for(flags, texts, capsys):
-    assert main(["plan", *BOX, "--minutes", "5", *flags]) == 0
-    shown = capsys.readouterr().out
-    for text in texts:
-        assert text in shown
-
-
 def test_a_plan_in_minutes_is_simulated_and_explained(tmp_path, capsys):
     scan, scene = tmp_path / "scan.json", tmp_path / "scene"
     arm = ["--channels", "8", "--speed-m-per-s", "0.1"]

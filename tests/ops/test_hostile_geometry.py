@@ -5,8 +5,6 @@ points, NaN. A sum of unit phasors is bounded by the sum of its magnitudes whate
 and that is what is asked of it; where coordinates are moderate, twins are in the other files.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -348,14 +346,3 @@ def test_a_direction_may_have_any_length(scale):
     assert distance[0] == pytest.approx(1.0)
     assert face[0] == 0
     assert np.isfinite(scene.entry_exit(np.zeros((1, 3)), [[scale, 0.0, 0.0]]).t_entry).all()
-
-
-def test_subaperture_waveform_of_one_sample():
-    """One sample has no range; its image is still bounded."""
-    n = 4
-    members = members_of(np.zeros((n, 2)), focus_range_m=np.zeros(1))
-    bins = replace(bins_of((1, 0.1), n_ranges=1), first_range_m=0.0, range_pitch_m=1.0)
-    waveform = replace(WAVEFORM, n_samples=1)
-    signal = white_noise((n, 1), np.complex64)
-    image = kernel_images(signal, np.zeros((n, 3)), np.zeros((n, 3)), waveform, members, bins)
-    assert_bounded(image, np.abs(signal).max())

@@ -10,13 +10,13 @@ import pytest
 
 import geraf2
 from geraf2.scene import Grid
+from helpers.antennas import scattered
 from helpers.synthetic import WAVEFORM, white_noise
 from reference.closeness import assert_adjoint
 
 N_ANTENNAS = 41
 RNG = np.random.default_rng(3)
-TX = np.stack([np.full(N_ANTENNAS, -0.36), *RNG.uniform(-0.1, 0.1, (2, N_ANTENNAS))], axis=1)
-RX = TX + RNG.uniform(-0.01, 0.01, TX.shape)
+TX, RX = scattered(RNG, N_ANTENNAS, -0.36, 0.01)
 GRID = Grid.cube((0.0, 0.0, 0.0), 0.02, 9)
 LIST = RNG.uniform(-0.02, 0.02, (130, 3))
 

@@ -235,6 +235,18 @@ def test_coordinates_of_meshes_that_are_not_finite(value):
         scene.occluded(POINT, bad)
 
 
+@pytest.mark.gradient
+@pytest.mark.parametrize("function", [matched_filter, signal_tracer])
+def test_a_second_derivative_is_not_silently_missing(function):
+    arguments = GOOD[function] | {"points": torch.full((2, 3), 0.3)}
+    name = next(iter(arguments))
+    given = torch.from_numpy(arguments[name]).requires_grad_(True)
+    found = function(**arguments | {name: given})
+    (grad,) = torch.autograd.grad(found.abs().pow(2).sum(), given, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        grad.abs().sum().backward()
+
+
 def test_settings_of_the_environment(monkeypatch):
     monkeypatch.setenv("GERAF2_SIMD", "neon")
     with pytest.raises(ValueError, match="GERAF2_SIMD must be baseline, avx2 or avx512, got neon"):

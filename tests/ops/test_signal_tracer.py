@@ -193,15 +193,6 @@ def test_gradients_of_blocks_keep_to_rtol(simd):
         assert relative_error(have, want.grad) < 1e-3
 
 
-@pytest.mark.gradient
-def test_no_silent_second_derivative():
-    case, _, waveform = make_case(specular=False)
-    signal = signal_tracer(case[0].requires_grad_(True), *case[1:], waveform)
-    (grad,) = torch.autograd.grad(signal.abs().pow(2).sum(), case[0], create_graph=True)
-    with pytest.raises(RuntimeError, match="once_differentiable"):
-        grad.abs().sum().backward()
-
-
 def test_a_mirror_sends_back_what_meets_it_head_on():
     # Monostatic, at the angle a to the normal, the factor is cos 2a; beyond 45 degrees nothing.
     waveform = waveform_of(4)

@@ -158,15 +158,6 @@ def test_flat_content_is_not_another_box(monkeypatch):
         check(given(0.7 * SIZE), solid, monkeypatch)
 
 
-def test_content_in_free_air_is_reconstructed_with_a_warning(in_free_air, tmp_path):
-    capture, truth = in_free_air
-    run = geraf2.reconstruct(capture, None, FINER, tmp_path / "run")
-    assert geraf2.evaluate(run, truth, n_samples=2000, report=False).f1(0.005) > 0.8
-    log = (tmp_path / "run" / "log.jsonl").read_text()
-    assert "no walls of a box are seen" in log
-    assert "give --box X Y Z" in log
-
-
 def test_echoes_that_contradict_a_box_by_radar_are_a_warning_and_a_given_one_an_error(
     monkeypatch, tmp_path
 ):
@@ -237,13 +228,16 @@ def test_reconstruct_and_calibrate_find_the_same_delay_that_was_not_recorded(tmp
     assert geraf2.calibrate(scene, prior).table.path_bias_m == pytest.approx(found_m, abs=1e-3)
 
 
-def test_content_in_free_air_gives_no_delay(tmp_path):
+def test_content_in_free_air_is_reconstructed_with_a_warning_and_gives_no_delay(tmp_path):
     spec = replace(examples.small_scene(), walls=())
     spec = replace(spec, waveform=replace(spec.waveform, path_bias_m=0.0))
     capture, truth = simulate(spec, seed=0)
     run = geraf2.reconstruct(capture, None, FINER, tmp_path / "run")
     assert geraf2.evaluate(run, truth, n_samples=2000, report=False).f1(0.005) > 0.8
     assert not any("delay" in text for text in run.numbers["calibration"]["applied"])
+    log = (tmp_path / "run" / "log.jsonl").read_text()
+    assert "no walls of a box are seen" in log
+    assert "give --box X Y Z" in log
     with pytest.raises(UserError, match="delay was not recorded, and the scan does not show it"):
         geraf2.reconstruct(not_recorded(capture), None, FINER)
 

@@ -61,10 +61,3 @@ def test_without_errors_nothing_changes(capture, tmp_path):
     same = ("glints.npz", "peaks.ply", "sdf_fit.npz", "sdf.npz", "prior.npz")
     assert {n: found.run.files[n] for n in same} == {n: plain.run.files[n] for n in same}
     assert (found.content.vertices == plain.content.vertices).all()
-
-
-def test_a_box_without_echoes_is_refused_in_one_line(tmp_path):
-    capture, _ = geraf2.examples.small_capture()
-    tiny = geraf2.LosPrior.from_box((0.01, 0.01, 0.01))
-    with pytest.raises(geraf2.UserError, match="the box does not contain the scene"):
-        geraf2.reconstruct(capture, tiny, COARSE, tmp_path / "out")
