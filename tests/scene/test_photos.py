@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
+from helpers.scene_photos import ring_of_cameras
 from photo_writing import look_at
 
 INTRINSICS = np.array([[520.0, 0.0, 322.0], [0.0, 515.0, 238.5], [0.0, 0.0, 1.0]])
@@ -17,14 +18,6 @@ def looking_at(eye, target, *, distortion=(0.0,) * 5, size=(640, 480), intrinsic
         width=size[0],
         height=size[1],
         distortion=distortion,
-    )
-
-
-def ring(n, radius=0.5, height=0.2, **options):
-    angles = 2.0 * np.pi * np.arange(n) / n
-    return tuple(
-        looking_at((radius * np.cos(a), radius * np.sin(a), height), (0.0, 0.0, 0.0), **options)
-        for a in angles
     )
 
 
@@ -87,9 +80,8 @@ def test_binned_pictures_and_cameras_agree():
 
 
 def test_the_focus_is_where_all_look():
-    cameras = ring(5)
-    images = (np.zeros((480, 640, 3), np.uint8),) * 5
-    photos = PhotoSet(names=tuple("abcde"), cameras=cameras, images=images)
+    images = (np.zeros((48, 64, 3), np.uint8),) * 5
+    photos = PhotoSet(names=tuple("abcde"), cameras=tuple(ring_of_cameras(5)), images=images)
     np.testing.assert_allclose(photos.focus(), 0.0, atol=1e-12)
     assert photos.subset([3, 1]).names == ("d", "b")
 

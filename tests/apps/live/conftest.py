@@ -5,6 +5,7 @@ import pytest
 import geraf2
 from geraf2 import examples
 from geraf2.surfaces import FitConfig
+from helpers.found_boxes import box_found_once  # noqa: F401 - applies to all tests here
 
 
 @pytest.fixture(scope="session")
