@@ -20,7 +20,7 @@ def capture():
     def paths_of(tx, _):
         return sphere_paths(tx, CENTERS, RADII)
 
-    return capture_of(paths_of, n_poses=20, positions=raster(31, 0.004))
+    return capture_of(paths_of, n_poses=14, positions=raster(31, 0.004))
 
 
 def radius_errors_m(mesh):
