@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from geraf2 import examples, load_capture, save_capture
+from geraf2 import examples, save_capture
 from geraf2.io.mesh import read_mesh
 
 
@@ -31,17 +31,6 @@ def test_matched_filter_example_finds_its_target(project_root, tmp_path):
     found = [float(value) for value in brightest.split(",")]
     # A voxel is 2 mm; along the range, which is x, a cell of 42 mm makes the peak flat.
     assert found == pytest.approx([0.01, -0.02, 0.015], abs=0.003)
-
-
-def test_a_scan_is_played_into_a_folder(project_root, tmp_path):
-    capture, _ = examples.small_capture()
-    save_capture(capture, tmp_path / "scene")
-    script = project_root / "examples" / "play_scan.py"
-    out = _run(script, "scene", "played", "0.01", folder=tmp_path)
-    assert out.splitlines()[-1] == "plane 6 of 6"
-    played = load_capture(tmp_path / "played")
-    assert played.provenance["n_planes"] == "6"
-    assert (played.poses[5].signal == capture.poses[5].signal).all()
 
 
 @pytest.mark.slow

@@ -14,34 +14,23 @@ from geraf2.pipeline.stages.job import Job, kept_peaks
 from helpers.shadows import outlines
 
 
-def leaves(config, path=""):
-    """Dotted names of all settings below a config."""
-    for one in fields(config):
-        value = getattr(config, one.name)
-        if is_dataclass(value):
-            yield from leaves(value, f"{path}{one.name}.")
-        else:
-            yield path + one.name
+def kinds_of(config):
+    """Types of a config and of those in it."""
+    inner = [getattr(config, one.name) for one in fields(config)]
+    return {type(config)}.union(*(kinds_of(value) for value in inner if is_dataclass(value)))
 
 
-def recording(config, read, path=""):
-    """The same config, whose reads are added to `read` by their dotted names."""
-    names = {one.name for one in fields(config)}
+def record_reads(kind, read, monkeypatch):
+    """Add the settings of a type that are read to `read`, but for those that it copies itself."""
 
     def getter(self, name):
         caller = sys._getframe(1)
         copied = caller.f_globals["__name__"] in ("dataclasses", "geraf2._bounds")
-        if name in names and not copied and caller.f_code.co_name != "__post_init__":
-            read.add(path + name)
+        if not copied and caller.f_code.co_name != "__post_init__":
+            read.add((kind, name))
         return object.__getattribute__(self, name)
 
-    kind = type(type(config).__name__, (type(config),), {"__getattribute__": getter})
-    values = {
-        name: recording(value, read, f"{path}{name}.") if is_dataclass(value) else value
-        for name in names
-        for value in [getattr(config, name)]
-    }
-    return kind(**values)
+    monkeypatch.setattr(kind, "__getattribute__", getter)
 
 
 def do_steps(config, capture, prior, folder):
@@ -74,19 +63,14 @@ def coarse(preset):
 def test_every_setting_is_read_by_a_step(preset, tmp_path, monkeypatch):
     capture, _ = geraf2.examples.small_capture()
     prior = replace(geraf2.LosPrior.from_box(geraf2.examples.BOX_M), walls=capture.walls)
-    read = set()
-    config = coarse(preset)
-    kept = type(config)(
-        **{
-            one.name: recording(value, read, f"{one.name}.") if is_dataclass(value) else value
-            for one in fields(config)
-            for value in [getattr(config, one.name)]
-        }
-    )
+    config, read = coarse(preset), set()
+    kinds = kinds_of(config)
+    for kind in kinds:
+        record_reads(kind, read, monkeypatch)
     search = direct.find_silhouettes
     monkeypatch.setattr(
         direct, "find_silhouettes", lambda *of: search(*of) and outlines([0], [0.03] * 3)
     )
-    do_steps(kept, capture, prior, tmp_path / "run")
-    unread = [name for name in leaves(preset) if name not in read | {"preset"}]
-    assert unread == []
+    do_steps(config, capture, prior, tmp_path / "run")
+    settings = {(kind, one.name) for kind in kinds for one in fields(kind)}
+    assert settings - read - {(type(preset), "preset")} == set()

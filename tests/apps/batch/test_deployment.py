@@ -3,13 +3,13 @@
 import json
 import os
 import shlex
-import socket
 import subprocess
 import sys
 
 import pytest
 
 import geraf2
+from helpers.ports import free_port
 
 pytest.importorskip("distributed")
 
@@ -66,12 +66,6 @@ def _require_done(command, position, **environment):
     assert (row["state"], row["worker"][:6]) == ("done", "tcp://")
 
 
-def _free_port():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return str(one.getsockname()[1])
-
-
 @pytest.mark.slow
 def test_an_array_of_slurm_does_a_batch_and_ends(project_root, position):
     _require_done(["sbatch", str(project_root / "examples" / "batch.slurm"), *BATCH], position)
@@ -81,5 +75,5 @@ def test_an_array_of_slurm_does_a_batch_and_ends(project_root, position):
 @pytest.mark.slow
 def test_machines_by_ssh_do_a_batch(project_root, position):
     script = str(project_root / "examples" / "batch_ssh.sh")
-    where = {"SCHEDULER_HOST": "127.0.0.1", "SCHEDULER_PORT": _free_port()}
+    where = {"SCHEDULER_HOST": "127.0.0.1", "SCHEDULER_PORT": str(free_port())}
     _require_done([script, *BATCH], position, HOSTS="a", WORKERS="1", **where)

@@ -27,6 +27,7 @@ from geraf2.scene import Grid, LosPrior
 from helpers import solids
 from helpers.browsing import PHONE, SCREENS, require_readable, serious_findings
 from helpers.glint_sets import glints_on_sphere
+from helpers.ports import free_port
 from helpers.run_folders import judge, record_run
 
 RADIUS_M = 0.03
@@ -94,10 +95,7 @@ def test_a_port_in_use_is_one_line(run, capsys):
 
 @pytest.fixture
 def view(run):
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    made = LiveView([run, run], port=port)
+    made = LiveView([run, run], port=free_port())
     yield made
     made.stop()
 
@@ -174,10 +172,7 @@ def test_only_a_page_of_the_server_itself_may_ask(asked, origin, host, same):
 
 
 def test_ctrl_c_is_the_normal_end_of_view(small_capture_folder):
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = str(free.getsockname()[1])
-    words = ["view", str(small_capture_folder), "--port", port]
+    words = ["view", str(small_capture_folder), "--port", str(free_port())]
     start = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_DFL)\n"
     start += f"import sys\nsys.argv = {['geraf2', *words]}\nfrom geraf2.cli import main\nmain.run()"
     with subprocess.Popen(
@@ -195,10 +190,7 @@ def test_ctrl_c_is_the_normal_end_of_view(small_capture_folder):
 @pytest.mark.browser
 def test_an_open_page_follows_the_files_and_keeps_what_was_chosen(open_page, run, tmp_path):
     out = tmp_path / "out"
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    view = LiveView([out], port=port, waits=True)
+    view = LiveView([out], port=free_port(), waits=True)
     try:
         with pytest.raises(urllib.error.HTTPError) as early:
             urllib.request.urlopen(view.url, timeout=20)
