@@ -7,8 +7,8 @@ import pytest
 
 from geraf2.cli.main import main
 from geraf2.report import overview
-from geraf2.scene import Capture, Pose, Waveform, load_capture, save_capture
-from helpers.planar_scan import LETTER, TARGETS, write_hologram, write_planar
+from geraf2.scene import Capture, load_capture, save_capture
+from helpers.planar_scan import LETTER, TARGETS, letter_pose, write_hologram, write_planar
 
 
 def imaged(source, tmp_path, *flags):
@@ -107,18 +107,7 @@ def test_the_sign_can_be_forced(tmp_path, capsys):
 
 def one_frequency(positions):
     """The letter 0.1 m before antennas anywhere, as a capture."""
-    points = np.column_stack([np.full(len(LETTER), 0.1), LETTER])
-    distance = 2 * np.linalg.norm(positions[:, None] - points, axis=2)
-    signal = np.exp(-2j * np.pi * distance * 22e9 / 299792458.0).sum(axis=1, keepdims=True)
-    waveform = Waveform(
-        start_frequency_hz=22e9, chirp_slope_hz_per_s=1e12, sample_rate_hz=1e6, n_samples=1
-    )
-    pose = Pose(
-        signal=signal.astype(np.complex64),
-        tx_positions=positions,
-        rx_positions=positions,
-        axes=np.eye(3),
-    )
+    pose, waveform = letter_pose(positions, slope_hz_per_s=1e12)
     return Capture(waveform=waveform, poses=(pose,))
 
 

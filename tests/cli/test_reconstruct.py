@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
+from geraf2.echoes import Glints
 from geraf2.errors import UserError
+from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import Evidence, read_mesh
 from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.commands.evaluate import evaluate
@@ -19,7 +21,7 @@ from geraf2.pipeline.reconstruction import load_run
 from geraf2.scene import load_capture, save_capture
 from helpers.console import the_error
 from helpers.folders import contents
-from helpers.small_scene import BOX, FAST
+from helpers.small_scene import BOX, FAST, QUICK_BEST
 
 RESULTS = ("glints.npz", "sdf_fit.npz", "sdf.npz", "mesh.ply", "mesh_content.ply", "mesh.glb")
 
@@ -45,6 +47,19 @@ def test_a_run_holds_everything(built_run):
     assert done == ["calibration", "glints", "sdf", "mesh", "verdict", "samples", "report"]
     assert events[-1]["event"] == "finished"
     assert [*RunFolder.read(built_run).stages] == ["box", *done]
+
+
+def test_a_run_of_best_has_glints_and_outlines(built_scene, tmp_path):
+    out, flags = tmp_path / "out", [*BOX, *QUICK_BEST, "--no-report", "--preset", "best"]
+    assert main(["reconstruct", str(built_scene), str(out), *flags]) == 0
+    stages = RunFolder.read(out).stages
+    assert [*stages] == ["box", "calibration", "glints", "outlines", "sdf", "mesh", "verdict"]
+    assert len(Glints.load(out / "glints.npz")) > 50
+    assert stages["outlines"].numbers["outlines"] == len(Silhouettes.load(out / "silhouettes.npz"))
+    assert read_mesh(out / "mesh_content.ply").expected_error_m.min() > 0
+    config = tomllib.loads((out / "config.toml").read_text())
+    assert config["preset"] == "best"
+    assert config["refine"]["shadows"] is True
 
 
 def test_samples_are_written_and_drawn_again(built_run):

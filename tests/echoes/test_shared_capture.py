@@ -19,27 +19,20 @@ from geraf2.surfaces.extraction import extract_meshes
 from helpers.carton import aligned
 
 
-@pytest.fixture(scope="module")
-def source(shared_data):
-    folder = shared_data / "spot_carton"
-    if not folder.is_dir():
-        pytest.skip("spot_carton is absent from the shared captures")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def capture(source):
-    scan = load_importer("geraf-sens").open(source, RadarManifest())
-    poses = tuple(complex_pose(pose) for pose in scan.poses())
-    return replace(capture_without_poses(scan.manifest), poses=poses)
-
-
 @pytest.mark.data
-def test_an_unknown_delay_is_found_to_a_millimetre_of_path(source, capture):
-    prior = LosPrior.from_mesh(read_mesh(source / "los_box.ply"))
-    waveform = replace(capture.waveform, path_bias_m=0.0)
-    blind = replace(capture, waveform=waveform, provenance={})  # which says that it was recorded
-    found = aligned(blind, prior)
+def test_an_unknown_delay_is_found_to_a_millimetre_of_path(shared_data):
+    source = shared_data / "spot_carton"
+    if not source.is_dir():
+        pytest.skip("spot_carton is absent from the shared captures")
+    scan = load_importer("geraf-sens").open(source, RadarManifest())
+    about = capture_without_poses(scan.manifest)
+    blind = replace(
+        about,
+        poses=tuple(complex_pose(pose) for pose in scan.poses()),
+        waveform=replace(about.waveform, path_bias_m=0.0),
+        provenance={},  # which says that it was recorded
+    )
+    found = aligned(blind, LosPrior.from_mesh(read_mesh(source / "los_box.ply")))
     assert found.delay_m == pytest.approx(0.15, abs=1e-3)
     assert abs(found.delay_m - 0.15) < 2.0 * found.delay_sigma_m
     assert np.rad2deg(np.abs(found.rotation_rad).max()) < 0.2

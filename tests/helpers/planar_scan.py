@@ -3,6 +3,7 @@
 import numpy as np
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.scene import Pose, Waveform
 
 FREQUENCIES = np.linspace(22.2e9, 26.2e9, 11)
 STEP = 0.003
@@ -19,6 +20,23 @@ LETTER = np.concatenate(
         np.column_stack([np.linspace(-0.013, 0.012, 6), np.full(6, -0.02)]),
     ]
 )
+
+
+def letter_pose(positions, n_frequencies=1, slope_hz_per_s=1e14):
+    """The L 0.1 m before antennas that see it at 22 GHz and a bit."""
+    waveform = Waveform(
+        start_frequency_hz=22e9,
+        chirp_slope_hz_per_s=slope_hz_per_s,
+        sample_rate_hz=1e6,
+        n_samples=n_frequencies,
+        path_bias_m=0.1,
+    )
+    points = np.column_stack([np.full(len(LETTER), 0.1), LETTER])
+    distance = 2 * np.linalg.norm(positions[:, None] - points, axis=2) + waveform.path_bias_m
+    k = 2 * np.pi * waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    signal = np.exp(-1j * distance[:, :, None] * k).sum(axis=1).astype(np.complex64)
+    antennas = {"tx_positions": positions, "rx_positions": positions}
+    return Pose(signal=signal, axes=np.eye(3), **antennas), waveform
 
 
 def write_hologram(path, *, depth=0.1, n=31, frequencies=HOLOGRAM_FREQUENCIES, **changes):

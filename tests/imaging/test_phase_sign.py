@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from geraf2.imaging.phase_sign import PhaseSign, find_phase_sign
-from geraf2.scene import Pose, Waveform
-from helpers.planar_scan import LETTER
+from helpers.planar_scan import letter_pose
+from helpers.specular import raster
 from helpers.synthetic import WAVEFORM, point_capture, point_pose
 
 
@@ -42,33 +42,10 @@ def test_noise_silence_and_no_antennas_decide_nothing():
         assert "not clear" in str(sign)
 
 
-def letter_pose(positions, n_frequencies):
-    """An L 0.1 m before antennas that see it at 22 GHz and a bit: its range cell is 0.25 m."""
-    waveform = Waveform(
-        start_frequency_hz=22e9,
-        chirp_slope_hz_per_s=1e14,
-        sample_rate_hz=1e6,
-        n_samples=n_frequencies,
-        path_bias_m=0.1,
-    )
-    points = np.column_stack([np.full(len(LETTER), 0.1), LETTER])
-    distance = 2 * np.linalg.norm(positions[:, None] - points, axis=2) + waveform.path_bias_m
-    k = 2 * np.pi * waveform.frequencies_hz / 299792458.0
-    signal = np.exp(-1j * distance[:, :, None] * k).sum(axis=1).astype(np.complex64)
-    return Pose(
-        signal=signal, tx_positions=positions, rx_positions=positions, axes=np.eye(3)
-    ), waveform
-
-
-def raster(n=31, step=0.004):
-    along = (np.arange(n) - (n - 1) / 2) * step
-    h, v = (a.ravel() for a in np.meshgrid(along, along, indexing="ij"))
-    return np.column_stack([0 * h, h, v])
-
-
 @pytest.mark.parametrize("n_frequencies", [1, 6])
 def test_a_single_plane_is_searched_in_depth(n_frequencies):
-    pose, waveform = letter_pose(raster(), n_frequencies)
+    # Its range cell is 0.25 m.
+    pose, waveform = letter_pose(np.insert(raster(31, 0.004), 0, 0.0, axis=1), n_frequencies)
     right = find_phase_sign([pose], waveform)
     wrong = find_phase_sign([conjugated(pose)], waveform)
     assert (right.sign, wrong.sign) == (-1, 1)
@@ -82,8 +59,7 @@ def test_irregular_antennas_are_focused_as_finely():
     """Ranges in steps of half a range cell, 75 m here, would miss the L altogether."""
     positions = np.zeros((900, 3))
     positions[:, 1:] = np.random.default_rng(0).uniform(-0.06, 0.06, (900, 2))
-    pose, waveform = letter_pose(positions, 1)
-    waveform = replace(waveform, chirp_slope_hz_per_s=1e12)
+    pose, waveform = letter_pose(positions, slope_hz_per_s=1e12)
     right = find_phase_sign([pose], waveform)
     assert (right.sign, right.is_clear, right.depth_m) == (-1, True, None)
     assert find_phase_sign([conjugated(pose)], waveform).sign == 1

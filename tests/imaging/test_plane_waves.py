@@ -13,19 +13,24 @@ WAVEFORM = Waveform(
 N_H, N_V, STEP = 40, 36, 0.0025
 
 
-def wave(angle_deg, azimuth_deg=20.0):
-    """A plane wave over the raster, at all frequencies from one direction."""
-    h, v = (a.ravel() for a in np.meshgrid(np.arange(N_H), np.arange(N_V), indexing="ij"))
-    positions = STEP * np.stack([0.0 * h, h, v], axis=1)
-    sine, azimuth = np.sin(np.deg2rad(angle_deg)), np.deg2rad(azimuth_deg)
-    path = 2 * sine * (positions[:, 1] * np.cos(azimuth) + positions[:, 2] * np.sin(azimuth))
-    signal = np.exp(2j * np.pi * path[:, None] * WAVEFORM.frequencies_hz / 299792458.0)
+def pose_of(positions, path, waveform):
+    """Antennas whose samples are of these two-way paths [m]."""
+    signal = np.exp(2j * np.pi * path[:, None] * waveform.frequencies_hz / 299792458.0)
     return Pose(
         signal=signal.astype(np.complex64),
         tx_positions=positions,
         rx_positions=positions,
         axes=np.eye(3),
     )
+
+
+def wave(angle_deg, azimuth_deg=20.0):
+    """A plane wave over the raster, at all frequencies from one direction."""
+    h, v = (a.ravel() for a in np.meshgrid(np.arange(N_H), np.arange(N_V), indexing="ij"))
+    positions = STEP * np.stack([0.0 * h, h, v], axis=1)
+    sine, azimuth = np.sin(np.deg2rad(angle_deg)), np.deg2rad(azimuth_deg)
+    path = 2 * sine * (positions[:, 1] * np.cos(azimuth) + positions[:, 2] * np.sin(azimuth))
+    return pose_of(positions, path, WAVEFORM)
 
 
 def gain(pose, lowest, highest):
@@ -94,13 +99,7 @@ def point_at(depth, *, n=24, step=0.004, waveform=WAVEFORM):
     h, v = (a.ravel() for a in np.meshgrid(along, along[:-3], indexing="ij"))
     positions = np.stack([0.0 * h, h, v], axis=1)
     path = 2 * np.sqrt(depth**2 + (h - 0.005) ** 2 + (v + 0.003) ** 2) + waveform.path_bias_m
-    signal = np.exp(-2j * np.pi * path[:, None] * waveform.frequencies_hz / 299792458.0)
-    return Pose(
-        signal=signal.astype(np.complex64),
-        tx_positions=positions,
-        rx_positions=positions,
-        axes=np.eye(3),
-    )
+    return pose_of(positions, -path, waveform)
 
 
 @pytest.mark.parametrize("n_samples", [1, 3, 40])

@@ -5,6 +5,8 @@ points, NaN. A sum of unit phasors is bounded by the sum of its magnitudes whate
 and that is what is asked of it; where coordinates are moderate, twins are in the other files.
 """
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -50,6 +52,13 @@ def antennas_and_points(draw, counts=(0, 1, 2, 70)):
     return tx, rx, draw(hostile.positions(draw(st.sampled_from(counts)), near=tx))
 
 
+def refused_beyond(*positions, match=r"must be finite and within 1e\+06 m"):
+    """What must be an error where positions are not finite or too far, and nothing else."""
+    if hostile.allowed(*positions):
+        return nullcontext()
+    return pytest.raises(ValueError, match=match)
+
+
 def assert_bounded(values, bound):
     """Finite, and no larger than the sum of the magnitudes."""
     values = np.asarray(values)
@@ -70,17 +79,13 @@ def assert_bounded(values, bound):
 def test_matched_filter(geometry, dtype, scale, level, threads, method):
     tx, rx, points = geometry
     signal = white_noise((len(tx), WAVEFORM.n_samples), dtype, scale=scale)
-    with hostile.forced(level):
-        if not hostile.allowed(tx, rx, points):
-            with pytest.raises(ValueError, match="must be finite and within 1e\\+06 m"):
-                matched_filter(signal, tx, rx, points, WAVEFORM, method=method)
-            return
+    with hostile.forced(level), refused_beyond(tx, rx, points):
         image = matched_filter(signal, tx, rx, points, WAVEFORM, method=method, num_threads=threads)
         assert_bounded(image, np.abs(signal).astype(np.float64).sum() / len(tx))
         tensors = [torch.from_numpy(a).requires_grad_(True) for a in (signal, tx, rx, points)]
         image = matched_filter(*tensors, WAVEFORM, method=method, num_threads=threads)
         (image.real.sum() + image.imag.sum()).backward()
-    assert all(bool(torch.isfinite(t.grad).all()) for t in tensors)
+        assert all(bool(torch.isfinite(t.grad).all()) for t in tensors)
 
 
 @few
@@ -95,13 +100,9 @@ def test_matched_filter(geometry, dtype, scale, level, threads, method):
 def test_factorised_matched_filter(tx, origin, spacing, shape, dtype, level):
     signal = white_noise((len(tx), WAVEFORM.n_samples), dtype)
     grid = Grid(origin_m=(origin, 0.0, 0.01), spacing_m=spacing, shape=shape)
-    with hostile.forced(level):
-        if not hostile.allowed(tx, np.abs(grid.points()[-1])):
-            with pytest.raises(ValueError, match="within 1e\\+06 m"):
-                matched_filter(signal, tx, tx, grid, WAVEFORM, method="factorised")
-            return
+    with hostile.forced(level), refused_beyond(tx, np.abs(grid.points()[-1])):
         image = matched_filter(signal, tx, tx, grid, WAVEFORM, method="factorised")
-    assert_bounded(image, np.abs(signal).sum() / len(tx))
+        assert_bounded(image, np.abs(signal).sum() / len(tx))
 
 
 @few
@@ -116,11 +117,7 @@ def test_signal_tracer(geometry, dtype, scale, level, threads, specular, own):
         normals = rng.choice([0.0, 1e-310, 0.6, -0.8], (len(points), 3)).astype(
             amplitude.real.dtype
         )
-    with hostile.forced(level):
-        if not hostile.allowed(tx, rx, points):
-            with pytest.raises(ValueError, match="must be finite and within 1e\\+06 m"):
-                signal_tracer(amplitude, points, tx, rx, WAVEFORM, normals=normals)
-            return
+    with hostile.forced(level), refused_beyond(tx, rx, points):
         options = {"normals": normals, "num_threads": threads}
         signal = signal_tracer(amplitude, points, tx, rx, WAVEFORM, **options)
         # (w_o . w_r)+ <= 1 + 2 |n|^2
@@ -130,7 +127,7 @@ def test_signal_tracer(geometry, dtype, scale, level, threads, specular, own):
         tensors = [torch.from_numpy(a).requires_grad_(True) for a in (amplitude, points, tx, rx)]
         echo = signal_tracer(*tensors, WAVEFORM, **options)
         (echo.real.sum() + echo.imag.sum()).backward()
-    assert all(bool(torch.isfinite(t.grad).all()) for t in tensors)
+        assert all(bool(torch.isfinite(t.grad).all()) for t in tensors)
 
 
 @few
@@ -171,19 +168,14 @@ def test_subaperture_images_and_peaks(members, data, dtype, level):
     tx = data.draw(hostile.positions(n, near=rest["focus"]))
     signal = white_noise((n, WAVEFORM.n_samples), dtype)
 
-    def images():
+    refused = refused_beyond(
+        *(tx, rest["focus"], 1e4 * positions), match=r"must be finite|`places` must lie in"
+    )
+    with hostile.forced(level), refused:
         problem = (signal, tx, tx, WAVEFORM, members_of(positions, **rest), bins_of())
-        return kernel_images(*problem), subaperture_peaks(*problem, thresholds_db=(99.0, -99.0))
-
-    good = hostile.allowed(tx, rest["focus"], 1e4 * positions)
-    with hostile.forced(level):
-        if not good:
-            with pytest.raises(ValueError, match=r"must be finite|`places` must lie in"):
-                images()
-            return
-        image, peaks = images()
-    assert_bounded(image, np.abs(signal).max())
-    assert np.isfinite(peaks.cosines).all()
+        assert_bounded(kernel_images(*problem), np.abs(signal).max())
+        peaks = subaperture_peaks(*problem, thresholds_db=(99.0, -99.0))
+        assert np.isfinite(peaks.cosines).all()
 
 
 @few
@@ -209,17 +201,12 @@ def test_physical_optics(geometry, dtype, level, shape, walled, threads):
     weights = white_noise((1, n), dtype, scale=1e-6)
     walls = [Wall(size_m=(0.02, 0.02, 2.0), thickness_m=1e-3, permittivity=1.6)] if walled else []
     options = {"walls": walls, "num_threads": threads}
-    with hostile.forced(level):
-        if not hostile.allowed(tx, rx, points):
-            with pytest.raises(ValueError, match="must be finite and within 1e\\+06 m"):
-                physical_optics(elements, weights, antennas, WAVEFORM, **options)
-            return
+    with hostile.forced(level), refused_beyond(tx, rx, points):
         signal = physical_optics(elements, weights, antennas, WAVEFORM, **options)
-    assert signal.shape == (len(tx), WAVEFORM.n_samples)
-    # The echo goes as 1 / (R_t R_r): on an antenna it has no bound, and NaN is its honest value.
-    away = min(np.abs(points[:, None] - a).max(axis=2).min(initial=np.inf) for a in (tx, rx))
-    if away > 1e-9:
-        assert np.isfinite(signal).all()
+        assert signal.shape == (len(tx), WAVEFORM.n_samples)
+        # The echo goes as 1 / (R_t R_r): on an antenna it has no bound, NaN is its honest value.
+        away = min(np.abs(points[:, None] - a).max(axis=2).min(initial=np.inf) for a in (tx, rx))
+        assert away < 1e-9 or np.isfinite(signal).all()
 
 
 REAL = st.sampled_from((np.float32, np.float64))
@@ -272,14 +259,11 @@ def test_sdf_grid(points, origin, spacing, shape, dtype, threads, interpolation)
     values = np.random.default_rng(10).choice([-0.02, 0.0, 1e-42, 0.03], shape).astype(dtype)
     grid = Grid(origin_m=(origin, 0.0, -0.02), spacing_m=spacing, shape=shape)
     options = {"interpolation": interpolation, "num_threads": threads}
-    if not hostile.allowed(points):
-        with pytest.raises(ValueError, match="must be finite and within 1e\\+06 m"):
-            sdf_grid(values, grid, points, **options)
-        return
-    out = sdf_grid(values, grid, points, **options)
-    # Catmull-Rom overshoots by at most a quarter of the values' span an axis, (5/4)^3 < 2.
-    assert_bounded(out.value, 2.0 * 0.03)
-    assert not np.isnan(out.gradient).any()
+    with refused_beyond(points):
+        out = sdf_grid(values, grid, points, **options)
+        # Catmull-Rom overshoots by at most a quarter of the values' span an axis, (5/4)^3 < 2.
+        assert_bounded(out.value, 2.0 * 0.03)
+        assert not np.isnan(out.gradient).any()
 
 
 @few

@@ -133,11 +133,6 @@ def test_content_that_meets_the_wall_is_cut_there_and_stays_closed():
     assert surface_report(content).is_watertight
 
 
-def test_a_prior_without_walls_has_only_an_outer_surface():
-    prior = LosPrior.from_box((0.11, 0.1, 0.12))
-    assert box_surface(prior).faces.shape[0] == 12
-
-
 def test_a_round_prior_gets_an_inner_face_one_thickness_inside():
     shell = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
     wall = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.005, permittivity=2.0)
@@ -151,7 +146,8 @@ def test_a_round_prior_gets_an_inner_face_one_thickness_inside():
     )
 
 
-def test_nested_walls_are_both_drawn():
+def test_nested_walls_are_both_drawn_and_without_walls_there_is_an_outer_surface_alone():
+    assert len(box_surface(LosPrior.from_box(WALL.size_m)).faces) == 12
     inner_wall = Wall(size_m=(0.06, 0.05, 0.07), thickness_m=0.002, permittivity=1.6)
     prior = LosPrior.from_box(WALL.size_m, walls=(WALL, inner_wall))
     report = surface_report(box_surface(prior))

@@ -92,7 +92,7 @@ def test_scores_of_a_cube_that_is_too_large():
 
 
 class StandIn(Runner):
-    """Makes no scene; its rows have the F1 that a test gives."""
+    """Makes no scene; its rows have the F1 that a test gives. Keeps the seeds that it made."""
 
     def run_all(self, rows, reported, *, jobs=1, scheduler=None):
         made = []
@@ -101,6 +101,7 @@ class StandIn(Runner):
             scores = None if f1 is None else {"f1_5mm": f1}
             found = RowResult(f1_5mm=f1, scores=scores, error=None if f1 else "it broke")
             reported(row, found)
+            self.seeds.append(row.seed)
             made.append((row, found))
         return made
 
@@ -110,24 +111,18 @@ def task(tmp_path, monkeypatch):
     spec = SceneSpec(figure=FigureSpec(name="llama"))
     monkeypatch.setattr(population, "scene_of", lambda folder, scenes, seed: spec)
     runner = StandIn(out=tmp_path)
-    runner.values = {1: 0.5, 2: None, 3: 0.7}
+    runner.values, runner.seeds = {1: 0.5, 2: None, 3: 0.7}, []
     return Population(runner=runner, presets=("fast",))
 
 
 def test_a_second_run_makes_only_what_is_missing_or_failed(task):
-    reported = []
-
-    def note(row, _):
-        reported.append(row.seed)
-
-    first = task.run([1, 2], note)
+    first = task.run([1, 2])
     assert [r.score("f1_5mm") for r in first] == [0.5, 0.0]
     task.runner.values = {1: 0.1, 2: 0.6, 3: 0.7}
-    second = task.run([1, 2, 3], note)
-    assert reported == [1, 2, 2, 3]
-    assert [r.score("f1_5mm") for r in second] == [0.5, 0.6, 0.7]
-    task.run([1, 2, 3], note)
-    assert reported == [1, 2, 2, 3]
+    for _ in range(2):
+        again = task.run([1, 2, 3])
+        assert [r.score("f1_5mm") for r in again] == [0.5, 0.6, 0.7]
+    assert task.runner.seeds == [1, 2, 2, 3]
 
 
 def test_a_line_that_was_cut_short_is_made_again(task):
@@ -137,19 +132,17 @@ def test_a_line_that_was_cut_short_is_made_again(task):
     assert [r.seed for r in read_results(path)] == [1]
     append_result(path, result(7, 0.3))
     assert [r.seed for r in read_results(path)] == [1, 7]
-    reported = []
-    task.run([1, 3], lambda row, _: reported.append(row.seed))
-    assert reported == [3]
+    task.run([1, 3])
+    assert task.runner.seeds == [1, 3, 3]
 
 
 def test_results_of_another_version_are_not_taken(task):
     task.run([1])
     path = task.runner.out / SETS["population"].results_name
-    old = [replace(r, version="old") for r in read_results(path)]
+    (old,) = (replace(r, version="old") for r in read_results(path))
     path.unlink()
-    append_result(path, old[0])
-    reported = []
-    task.run([1], lambda row, _: reported.append(row.seed))
-    assert reported == [1]
+    append_result(path, old)
+    task.run([1])
+    assert task.runner.seeds == [1, 1]
     # Against another folder its last results count, whatever their version.
     assert [r.seed for r in population.results_against(task.runner.out, task.scenes)] == [1]
