@@ -78,23 +78,21 @@ def test_training_lowers_the_heat_map_loss(capture, maps):
     assert np.mean(losses[-15:]) < 0.8 * np.mean(losses[:3])
 
 
-@pytest.mark.parametrize(("stop_after", "field"), [(6, "grid"), (2, "mlp")])
-def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
-    capture, maps, tmp_path, stop_after, field
+def test_a_resumed_training_of_networks_is_the_uninterrupted_one_bit_by_bit(
+    capture, maps, tmp_path
 ):
-    config = replace(SMALL, n_planes=2, field=field, mlp_fit_steps=1)
-    if field == "mlp":
-        stages = StageConfig(n_steps=1), StageConfig(n_steps=2)
-        config = replace(config, n_cells=3, n_samples=4, stage1=stages[0], stage2=stages[1])
+    """That of grids is in tests/cli/test_paper_preset.py."""
+    config = replace(SMALL, n_planes=2, field="mlp", mlp_fit_steps=1, n_cells=3, n_samples=4)
+    config = replace(config, stage1=StageConfig(n_steps=1), stage2=StageConfig(n_steps=2))
     whole = PaperTrainer(capture, PRIOR, config, maps=maps)
     run_steps(whole)
     first = PaperTrainer(capture, PRIOR, config, maps=maps)
-    run_steps(first, max_steps=stop_after)
+    run_steps(first, max_steps=2)
     save_checkpoint(tmp_path / "c.safetensors", save_state(first, "key"))
     second = PaperTrainer(capture, PRIOR, config, maps=maps, seed=9)  # the seed is in the state
     stored = load_checkpoint(tmp_path / "c.safetensors", kind=KIND, version=VERSION)
     load_state(second, stored, "key", "c")
-    assert second.stages.steps_done == stop_after
+    assert second.stages.steps_done == 2
     run_steps(second)
     for name, value in parameters(whole).items():
         assert torch.equal(value, parameters(second)[name]), name
