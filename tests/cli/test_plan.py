@@ -104,7 +104,7 @@ def test_a_plan_in_minutes_is_simulated_and_explained(tmp_path, capsys):
     assert "normals seen" in like
 
 
-def test_an_array_of_ones_own_and_a_slow_table(tmp_path, capsys):
+def test_a_plan_with_an_array_of_ones_own(tmp_path, capsys):
     """Two receivers 2 cm apart, in turns of two transmitters: 4 channels, a line 24 mm high."""
     radar = tmp_path / "radar.toml"
     radar.write_text(
@@ -118,14 +118,6 @@ def test_an_array_of_ones_own_and_a_slow_table(tmp_path, capsys):
     scan = read_scan_file(tmp_path / "scan.json")
     assert scan.array.rx_offsets_m == ((0.0, 0.005, 0.0), (0.0, 0.005, 0.02))
     assert scan.array.n_channels == 4
-    slow = ["--turn-s", "60", "--settle-s", "0.5", "--channels", "8"]
-    assert main(["plan", *BOX, "--minutes", "3", *slow]) == 2
-    error = capsys.readouterr().err
-    assert "no plan can be reached in the time" in error
-    # Three planes of 7 lines of 36 positions, half a second and 3 ms each, and 172 mm each at 0.2
-    # m/s; two turns of a minute.
-    least = float(error.split("at least ")[1].split(" ")[0])
-    assert least == pytest.approx((3 * 7 * (36 * 0.503 + 0.86) + 2 * 60) / 60, abs=0.01)
 
 
 @pytest.mark.parametrize(

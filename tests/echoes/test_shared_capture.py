@@ -1,4 +1,4 @@
-"""From a whole capture of an independent simulator to the scores of the surface."""
+"""The delay of a whole capture of an independent simulator; its scores: tests/cli."""
 
 from dataclasses import replace
 
@@ -6,16 +6,11 @@ import numpy as np
 import pytest
 
 from geraf2.apps.importers import load_importer
-from geraf2.echoes import find_glints
-from geraf2.evaluation import evaluate_mesh
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.mesh import read_mesh
 from geraf2.io.samples import complex_pose
 from geraf2.scene import LosPrior
-from geraf2.scene.aperture import Aperture
 from geraf2.scene.store import capture_without_poses
-from geraf2.surfaces import fit_sdf
-from geraf2.surfaces.extraction import extract_meshes
 from helpers.carton import aligned
 
 
@@ -37,16 +32,3 @@ def test_an_unknown_delay_is_found_to_a_millimetre_of_path(shared_data):
     assert abs(found.delay_m - 0.15) < 2.0 * found.delay_sigma_m
     assert np.rad2deg(np.abs(found.rotation_rad).max()) < 0.2
     assert np.abs(found.translation_m).max() < 5e-4
-
-
-@pytest.mark.slow
-@pytest.mark.data
-def test_the_object_in_the_carton_is_reconstructed(source, capture):
-    prior = LosPrior.from_mesh(read_mesh(source / "los_box.ply"))
-    glints = find_glints(capture, prior)
-    sdf = fit_sdf(glints, apertures=[Aperture.from_pose(pose) for pose in capture.poses])
-    content = extract_meshes(sdf, glints, prior).mesh_content
-    scores = evaluate_mesh(content, read_mesh(source / "truth_object.ply"), n_samples=10000)
-    assert scores.f1(0.005) >= 0.98
-    assert scores.f1(0.003) >= 0.88
-    assert scores.chamfer_1e3_m2 <= 0.0075
