@@ -35,9 +35,11 @@ from geraf2.pipeline.stages.calibration import correct_capture
 from geraf2.pipeline.stages.job import for_planes
 from geraf2.scene import load_capture
 
-NOISE = ("peak_m", "bend_per_m2", "peak_normal_rad", "curvature_per_m")
+NOISE = ("bend_per_m2", "curvature_per_m")
 """Of `EchoNoise`."""
 CONSTANTS = (
+    "_PEAK_M",
+    "_TURN_RAD",
     "_SPREAD_M",
     "_ALONE",
     "_OTHER_SCALE",

@@ -10,6 +10,8 @@ from geraf2.echoes.detectability import LEAST_RADIUS_M, Detector, hann_response
 from geraf2.echoes.glints import GlintConfig, find_echoes
 from geraf2.echoes.labels import Clutter, Label
 from geraf2.echoes.ruled_out import (
+    Region,
+    describe_ruled_out,
     region_numbers,
     rule_out,
     ruled_out_of,
@@ -112,10 +114,17 @@ def test_more_clutter_and_stronger_returns_want_a_larger_ball(detector):
     radii = detector.smallest_radii(points)
     assert (radii >= LEAST_RADIUS_M).all()
     assert np.isfinite(radii).all()
-    for clutter in (Clutter(support=1.0, strong=0.1), Clutter(support=10.0, strong=1e3)):
+    for clutter in (Clutter(support=0.1, strong=0.1), Clutter(support=10.0, strong=1e3)):
         assert (replace(detector, clutter=clutter).smallest_radii(points) > radii).all()
     nothing = replace(detector, peaks=detector.peaks.select(np.zeros(0, dtype=int)))
     assert np.isinf(nothing.smallest_radii(points)).all()
+
+
+def test_odds_of_a_return_rise_with_support_and_strength():
+    clutter = Clutter(support=8.0, strong=1.0)
+    few, many = clutter.log_odds(np.array([0.0, 3.0]), np.array([0.0, 6.0]), np.array([1.0, 0.1]))
+    assert few < 0.0 < many
+    assert clutter.log_odds(3.0, 6.0, 0.01) == pytest.approx(many - 20.0 * 0.0467, abs=1e-9)
 
 
 def test_parts_of_the_box_are_named_with_what_was_ruled_out(detector):
@@ -127,6 +136,19 @@ def test_parts_of_the_box_are_named_with_what_was_ruled_out(detector):
     assert all(r.plastic_mm is None or r.plastic_mm > r.metal_mm for r in regions)
     assert ruled_out_of(region_numbers(regions)) == regions
     assert len(ruled_out_rows(regions)) == len(regions)
+
+
+def test_the_line_states_metal_and_plastic():
+    whole = Region(name="in the box", metal_mm=9.0, plastic_mm=37.0, unseen_share=0.0)
+    below = Region(name="below the content", metal_mm=14.0, plastic_mm=None, unseen_share=0.5)
+    assert describe_ruled_out([whole, below]) == (
+        "no metal ball above 9 mm in 95 % of the box, 14 mm below the content; no plastic ball "
+        "above 37 mm in 95 % of the box, none ruled out below the content"
+    )
+    blind = Region(name="in the box", metal_mm=None, plastic_mm=None, unseen_share=0.3)
+    assert "a metal ball of 40 mm cannot be ruled out" in describe_ruled_out([blind])
+    assert describe_ruled_out([]) == ""
+    assert region_numbers([]) == {}
 
 
 def test_the_clutter_of_a_scan_is_that_of_its_labels(capture):

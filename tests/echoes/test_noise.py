@@ -37,4 +37,3 @@ def test_merged_and_weak_echoes_err_more():
     assert normal_rad.argmin() == 0 < normal_rad[0]
     near, far = np.array([0.0]), np.array([0.02])
     assert ECHO_NOISE.offset_variance(far) > ECHO_NOISE.offset_variance(near)
-    assert ECHO_NOISE.turn_variance(far) > ECHO_NOISE.turn_variance(near)

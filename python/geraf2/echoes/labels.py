@@ -20,24 +20,27 @@ from geraf2.imaging.peaks import DETECTION_DB, PeakSet
 from geraf2.io.points import cloud_bytes
 from geraf2.ops.pair_density import PairModel, PeakPoints, pair_densities
 
-_SPREAD_M = 0.011
-"""Standard deviation of the distance along the surface at which points predict each other [m]; this
-and what follows are maximum likelihood values of the simulated population of objects."""
+_PEAK_M, _TURN_RAD = 0.00116, 0.184
+"""Standard deviations of peaks that predict each other, along the normal [m], and of each component
+of the normal [rad]; these and what follows are maximum likelihood values of labels of simulated
+scans with a truth (docs/math/echoes.md#labels)."""
+_SPREAD_M = 0.0057
+"""Standard deviation of the distance along the surface at which points predict each other [m]."""
 _REACH_M = 0.02
 """Largest distance of a pair [m]."""
 _ALIKE = 0.5
 """Least cosine between the normals of a pair."""
-_ALONE = 1.56
+_ALONE = 1.30
 """Support of a surface point without neighbours, in units of the clutter density."""
-_OTHER_SCALE, _OTHER_POWER = 1.74, 0.44
+_OTHER_SCALE, _OTHER_POWER = 1.51, 0.758
 """Scale and exponent of the support by other planes; neighbours have common errors."""
-_SHARED = 0.45
+_SHARED = 0.405
 """Exponent of the clutter density that reduces the support, because of common errors."""
-_FLOOR = 0.38
+_FLOOR = 0.375
 """Least share of clutter among the peaks in the box."""
-_LOG_ODDS = -2.80
+_LOG_ODDS = -2.64
 """Prior log odds of a strong peak at the noise level against clutter."""
-_PER_STRENGTH_DB, _PER_MARGIN_DB = 0.038, 0.026
+_PER_STRENGTH_DB, _PER_MARGIN_DB = 0.0467, 0.0273
 """Change of the log odds with strength and with the ratio to the noise [1/dB]."""
 _MAX_MARGIN_DB = 40.0
 """Ratio to the noise above which the noise has no effect [dB]."""
@@ -220,9 +223,9 @@ class _Update:
 
 def _peak_density() -> float:
     """Density that a point predicts at its own place [1 / (m^3 sr)]."""
-    offset2, turn2 = ECHO_NOISE.offset_variance(np.zeros(1)), ECHO_NOISE.turn_variance(np.zeros(1))
+    offset2, turn2 = 2.0 * _PEAK_M**2, 2.0 * _TURN_RAD**2
     scale = np.sqrt(2.0 * np.pi * offset2) * (2.0 * np.pi * turn2) * 2.0 * np.pi * _SPREAD_M**2
-    return float(1.0 / scale[0])
+    return float(1.0 / scale)
 
 
 def _points_of(peaks: PeakSet, found: Candidates) -> PeakPoints:
@@ -242,7 +245,7 @@ def _support(blocks: Iterable[sparse.csr_array], probability: Floats) -> tuple[F
 
 
 def _neighbours(points: PeakPoints) -> Iterator[sparse.csr_array]:
-    """Densities of pairs by blocks of points, in single precision: there may be 10 million.
+    """Densities of pairs by blocks of points, in single precision: there may be two million.
 
     Peaks of one sub-aperture do not support each other: it has one return of a smooth surface.
     """
@@ -250,9 +253,9 @@ def _neighbours(points: PeakPoints) -> Iterator[sparse.csr_array]:
         reach=_REACH_M,
         least_cosine=_ALIKE,
         spread=_SPREAD_M,
-        offset_variance=2.0 * ECHO_NOISE.peak_m**2,
+        offset_variance=2.0 * _PEAK_M**2,
         bend=ECHO_NOISE.bend_per_m2,
-        turn_variance=2.0 * ECHO_NOISE.peak_normal_rad**2,
+        turn_variance=2.0 * _TURN_RAD**2,
         curvature=ECHO_NOISE.curvature_per_m,
         least_density=_NEGLIGIBLE * _peak_density(),
     )

@@ -55,10 +55,6 @@ class EchoNoise:
         """
         return np.asarray(2.0 * self.peak_m**2 + (self.bend_per_m2 * distance_m**3) ** 2)
 
-    def turn_variance(self, distance_m: Floats) -> Floats:
-        """Variance of the angle between their normals, along each of two axes, (n,) [rad^2]."""
-        return np.asarray(2.0 * self.peak_normal_rad**2 + (self.curvature_per_m * distance_m) ** 2)
-
     def of_glints(self, deviation_m: Floats, relative: Floats) -> tuple[Floats, Floats]:
         """Return the standard deviations of glints, (n,) each [m] and [rad].
 

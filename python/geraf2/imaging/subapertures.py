@@ -46,9 +46,9 @@ class SubapertureConfig(Bounded):
     size_m: ApertureM = 0.08
     """Side of a square sub-aperture [m], at most half the longer side of a plane. Smaller ones
     merge weak echoes, larger ones defocus curves."""
-    step_m: ApertureM = 0.0133
-    """Step between sub-apertures [m], smaller where the side is; neighbours overlap by five
-    sixths."""
+    step_m: ApertureM = 0.02
+    """Step between sub-apertures [m], smaller where the side is; neighbours overlap by three
+    quarters."""
     direction_oversampling: Annotated[float, Interval(gt=0.0, le=32.0)] = 3.0
     """Direction bins per wavelength / size_m, the two-way resolution of the sub-aperture."""
     max_cosine: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.6
@@ -60,7 +60,7 @@ class SubapertureConfig(Bounded):
     def for_planes(self, planes: Sequence[Aperture]) -> "SubapertureConfig":
         """Return the same for small planes: sub-apertures of at most half a plane's longer side.
 
-        A plane then has at least seven along that side, as labels need echoes that agree.
+        A plane then has at least five along that side, as labels need echoes that agree.
         """
         sides_m = [2.0 * float(plane.half_m.max()) for plane in planes]
         size_m = min(self.size_m, max(_MIN_SIZE_M, _SIZE_SHARE * float(np.median(sides_m))))

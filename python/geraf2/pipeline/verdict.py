@@ -253,7 +253,8 @@ class RunTests:
             "delay",
             "near and far walls of the box agree with another instrument delay than the "
             f"{1e3 * self.walls.used_m:.0f} mm of path that were used",
-            f"record {1e3 * self.walls.other_m:.0f} mm, or leave out --calibrate no",
+            f"state path_bias_m = {self.walls.other_m:.3f} in scene.toml, or measure the delay: "
+            "geraf2 calibrate",
         )
 
     def _plastic(self) -> Cause:
