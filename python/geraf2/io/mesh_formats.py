@@ -214,4 +214,5 @@ def _binary_rows(data: bytes, order: str, at: int, element: _Element) -> tuple[d
 def _values(data: bytes, at: int, kind: str, n: int, element: _Element, row: int) -> list[float]:
     if n < 0 or at + n * np.dtype(kind).itemsize > len(data):
         raise _too_short(element[0], element[1], row)
-    return [float(value) for value in np.frombuffer(data, kind, count=n, offset=at)]
+    values: list[float] = np.frombuffer(data, kind, count=n, offset=at).astype(float).tolist()
+    return values
