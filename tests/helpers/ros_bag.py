@@ -58,7 +58,10 @@ def frames_of(path, *, noise=100.0, targets=TARGETS, period_s=PERIOD_S, delays_s
 def write_bag(
     folder, path, frames, *, late_s=0.0, adc=DRIVER, poses="tf", storage="MCAP", compression="NONE"
 ):
-    """Bag with frames `late_s` late, and poses at 100 Hz; its folder."""
+    """Bag with frames `late_s` late, and poses at 100 Hz; its folder.
+
+    poses: "tf apart" has two links of a chain that have no time in common.
+    """
     store = get_typestore(Stores.LATEST)
     store.register(get_types_from_msg(DRIVER_TEXT, DRIVER))
     store.register(get_types_from_msg(PARTS_TEXT, PARTS))
@@ -112,6 +115,7 @@ def _write_poses(writer, store, path, poses, end_s):
             header=header(store, stamp, parent), child_frame_id=child, transform=move
         )
 
+    poses, _, apart = poses.partition(" ")
     kind = {"tf": "tf2_msgs/msg/TFMessage", "odometry": "nav_msgs/msg/Odometry"}.get(
         poses, "geometry_msgs/msg/PoseStamped"
     )
@@ -122,7 +126,10 @@ def _write_poses(writer, store, path, poses, end_s):
         if poses == "tf":
             links = [
                 link("room", "table", stamp, np.zeros(3), turn),
-                link("table", "arm", stamp, [*where[:2], where[2] + 0.1], 0.0),
+                link(
+                    *("table", "arm", stamp + 10**12 * bool(apart)),
+                    *([*where[:2], where[2] + 0.1], 0.0),
+                ),
             ]
             message = types[kind](transforms=links)
         else:

@@ -235,6 +235,12 @@ def test_what_a_bag_lacks_is_named(tmp_path, path, few, adc, poses, options, tex
         opened(bag, **options)
 
 
+def test_transforms_without_a_common_time_are_refused(tmp_path, path, few):
+    bag = write_bag(tmp_path / "b", path, few, poses="tf apart")
+    with pytest.raises(UserError, match="'room' to 'radar' have no time in common"):
+        opened(bag)
+
+
 def test_broken_files_are_one_line(tmp_path, bag, capsys):
     data = next(bag.glob("*.mcap")).read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])

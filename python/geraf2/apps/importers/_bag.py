@@ -338,6 +338,9 @@ class _Messages:
             raise UserError(what=what, where=self._where, hint=hint)
         times = max(spans, key=len)
         times = times[(times >= max(t[0] for t in spans)) & (times <= min(t[-1] for t in spans))]
+        if not len(times):
+            what = f"the transforms from {chain[-1]!r} to {radar!r} have no time in common"
+            raise UserError(what=what, where=self._where, hint="record all of them with the radar")
         position, turn = np.zeros((len(times), 3)), Rotation.identity(len(times))
         for move in moves:  # from the radar to the fixed frame
             own = move.rotations_at(times)
