@@ -1,4 +1,6 @@
-"""What echoes err by: one description for labels, glints and tests of the geometry.
+"""What echoes err by: a description for glints, faces of plastic and tests of the geometry.
+
+Labels take the bending of surfaces from it, and have errors of a peak of their own.
 
 A peak has the errors of the window that shows it. Its neighbours tell more: echoes of two parts of
 a concave surface that a sub-aperture does not resolve give one peak between both parts, outside of
