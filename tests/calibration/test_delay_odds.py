@@ -79,6 +79,12 @@ def test_near_walls_alone_fit_any_delay(lined):
         find_box(not_recorded(lined))
 
 
+def test_near_walls_of_a_given_box_fit_one_delay(lined):
+    box = find_box(not_recorded(lined), expected=BOX)
+    assert box.delay_change_m == pytest.approx(TRUE_M, abs=0.01)
+    np.testing.assert_allclose(box.size_m[:2], SIZE_M[:2], atol=5e-3)
+
+
 def test_near_walls_alone_do_not_decide_between_a_given_box_and_a_recorded_delay(lined):
     wrong = recorded(lined, TRUE_M + 0.1)
     with pytest.raises(DelayUnknownError, match="delay and the box contradict each other"):

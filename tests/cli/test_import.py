@@ -53,6 +53,20 @@ def test_a_capture_of_the_other_sign_has_its_echoes_in_the_box(tmp_path, capsys)
     assert "the box is empty" not in shown.err
 
 
+def test_importing_again_changes_nothing_and_another_capture_is_refused(source, capture, capsys):
+    assert run_import(source) == 0
+    assert run_import(source) == 0
+    assert "nothing changed" in capsys.readouterr().out
+    louder = replace(capture, poses=tuple(replace(p, signal=2 * p.signal) for p in capture.poses))
+    other = write_geraf_sens(source.parent / "other", louder)
+    assert run_import(other) == 2
+    assert "holds another scene" in capsys.readouterr().err
+    assert np.array_equal(
+        load_capture(source.parent / "scene").poses[0].signal, capture.poses[0].signal
+    )
+    assert run_import(other, "--overwrite") == 0
+
+
 def test_a_delay_of_zero_that_is_given_is_not_warned_of(tmp_path, capture, capsys):
     for bias, warned in ((0.0, False), (None, True)):
         parameters = {**CAPTURE_JSON, "path_bias_m": bias}

@@ -7,6 +7,7 @@ import pytest
 
 from geraf2.cli.main import main
 from geraf2.scene import load_capture
+from helpers.console import the_error
 from helpers.raw_capture import (
     BOARD_RX,
     RADAR_TOML,
@@ -93,3 +94,11 @@ def test_info_shows_a_broken_recording(tmp_path, capsys):
     path.write_bytes(words_of(beat()).tobytes()[:-7])
     assert main(["info", str(path)]) == 0
     assert "odd number of bytes" in capsys.readouterr().err
+
+
+def test_the_good_part_of_a_recording_is_kept(tmp_path, recording, radar, capsys):
+    recording.write_bytes(recording.read_bytes()[:-100])
+    assert run(recording, radar, *RASTER) == 2
+    assert "--keep-good" in the_error(capsys)
+    assert run(recording, radar, *RASTER, "--keep-good") == 0
+    assert load_capture(tmp_path / "scene").poses[0].n_antennas == 119 * 4

@@ -80,6 +80,22 @@ def test_a_single_plane_without_a_box(tmp_path, capsys):
     assert "unambiguous" not in warned
 
 
+@pytest.mark.parametrize(
+    ("flags", "texts"),
+    [
+        (["--array", "awr1843"], ["12 at once\n", "Of --preset fast, for metal objects"]),
+        (["--preset", "awr1843", "--channels", "2"], ["2 at once\n"]),
+        ([], ["1 at once; --channels or --array names more"]),
+        (["--box", "0.5", "0.5", "0.5", "--max-elevation-deg", "0"], ["unknown: "]),
+    ],
+)
+def test_a_plan_names_its_board_and_what_its_forecast_holds_for(flags, texts, capsys):
+    assert main(["plan", *BOX, "--minutes", "5", *flags]) == 0
+    shown = capsys.readouterr().out
+    for text in texts:
+        assert text in shown
+
+
 def test_a_plan_in_minutes_is_simulated_and_explained(tmp_path, capsys):
     scan, scene = tmp_path / "scan.json", tmp_path / "scene"
     arm = ["--channels", "8", "--speed-m-per-s", "0.1"]
@@ -104,7 +120,7 @@ def test_a_plan_in_minutes_is_simulated_and_explained(tmp_path, capsys):
     assert "normals seen" in like
 
 
-def test_a_plan_with_an_array_of_ones_own(tmp_path, capsys):
+def test_an_array_of_ones_own_and_a_slow_table(tmp_path, capsys):
     """Two receivers 2 cm apart, in turns of two transmitters: 4 channels, a line 24 mm high."""
     radar = tmp_path / "radar.toml"
     radar.write_text(
@@ -118,6 +134,14 @@ def test_a_plan_with_an_array_of_ones_own(tmp_path, capsys):
     scan = read_scan_file(tmp_path / "scan.json")
     assert scan.array.rx_offsets_m == ((0.0, 0.005, 0.0), (0.0, 0.005, 0.02))
     assert scan.array.n_channels == 4
+    slow = ["--turn-s", "60", "--settle-s", "0.5", "--channels", "8"]
+    assert main(["plan", *BOX, "--minutes", "3", *slow]) == 2
+    error = capsys.readouterr().err
+    assert "no plan can be reached in the time" in error
+    # Three planes of 7 lines of 36 positions, half a second and 3 ms each, and 172 mm each at 0.2
+    # m/s; two turns of a minute.
+    least = float(error.split("at least ")[1].split(" ")[0])
+    assert least == pytest.approx((3 * 7 * (36 * 0.503 + 0.86) + 2 * 60) / 60, abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,16 @@
 """Comparison of full-wave captures with physical optics, on captures of the simulator."""
 
+from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 
 import geraf2
+from geraf2.io.mesh import read_mesh, write_mesh
 from geraf2.io.toml import write_toml
 from geraf2.pipeline.commands.simulate import simulate_scene
+from geraf2.scene.store import load_capture, save_capture
 from geraf2.surfaces import FitConfig
 
 
@@ -41,3 +45,28 @@ def test_equal_captures_have_equal_scores_and_no_difference(captures, tmp_path, 
     before = result.stat().st_mtime_ns
     assert wave.comparison.compare(folders, ["fast"], tmp_path) == table
     assert result.stat().st_mtime_ns == before  # what is done is kept
+
+
+def test_a_heat_map_differs_where_a_scatterer_was_added(captures, tmp_path, wave):
+    scene = captures / "thing" / wave.comparison.SCENE_NAME
+    capture, truth = load_capture(scene), read_mesh(scene / "truth.ply")
+    beside = np.array([0.0, 0.0, truth.vertices[:, 2].max() + 0.008])
+    k = 2 * np.pi * capture.waveform.frequencies_hz / 299792458.0
+    poses = []
+    for pose in capture.poses:
+        path = np.linalg.norm(pose.tx_positions - beside, axis=1)
+        path += np.linalg.norm(pose.rx_positions - beside, axis=1) + capture.waveform.path_bias_m
+        echo = np.exp(-1j * k * path[:, None]).astype(np.complex64)
+        poses.append(replace(pose, signal=pose.signal + echo))
+    changed = tmp_path / "scene"
+    save_capture(
+        replace(capture, poses=tuple(poses)),
+        changed,
+        extras=lambda folder: write_mesh(truth, folder / "truth.ply"),
+    )
+    same = wave.comparison.heat_difference(scene, scene)
+    heat = wave.comparison.heat_difference(changed, scene)
+    assert same.difference_db < -60
+    assert heat.difference_db > -15
+    assert heat.outside_share > 0.5
+    assert np.linalg.norm(np.array(heat.at_m) - beside) < 0.004

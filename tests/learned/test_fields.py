@@ -6,6 +6,8 @@ from geraf2.fields import BoxSolid
 from geraf2.learned.fields import (
     CubeDomain,
     LearnedSdfGrid,
+    ReflectivityGrid,
+    ReflectivityMlp,
     SdfMlp,
     SdfMlpConfig,
     sdf_mlp,
@@ -127,3 +129,16 @@ def test_upsampling_keeps_the_values():
     assert change < 0.002  # a cubic through more points bends a little otherwise
     with pytest.raises(ValueError, match="n_per_side must be at least 17, got 9"):
         field.upsample(9)
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        ReflectivityMlp(DOMAIN, n_layers=2, width=8, n_octaves=1),
+        ReflectivityGrid(DOMAIN, n_per_side=4),
+    ],
+    ids=["mlp", "grid"],
+)
+def test_reflectivity_is_one_at_first(module):
+    points = random_points(50, dtype=torch.float32)
+    assert (module(points) == 1.0).all()

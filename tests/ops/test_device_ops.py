@@ -131,6 +131,25 @@ def test_images_and_lengths(monkeypatch, device):
     agree(monkeypatch, call, [random(3, 16, 32, 2), random(50, 3, seed=8)], device)
 
 
+@pytest.mark.parametrize("device", DEVICES)
+def test_single_precision_is_that_of_the_kernels(monkeypatch, device):
+    alpha, transmittance, gradient, points = samples()
+    pairs = facing_samples(alpha, gradient, points, FORMS[0], n_looks=2)
+    amplitude, normals = (
+        t.float()
+        for t in echo_amplitudes(
+            *(alpha, transmittance, gradient, points, pairs),
+            torch.zeros(len(pairs.sample), dtype=torch.float64),
+            FORMS[0],
+        )
+    )
+
+    def call(amplitude, normals):
+        return [trace_pairs(amplitude, points, normals, pairs, *POSITIONS, GROUPS, WAVEFORM)]
+
+    agree(monkeypatch, call, [amplitude, normals], device, rtol=1e-3)
+
+
 def test_nothing_is_made_on_another_device_than_the_inputs():
     """Tensors of the device `meta` hold no numbers, but refuse to be mixed with others."""
     alpha, transmittance, gradient, points = samples()

@@ -62,6 +62,13 @@ def test_a_second_scan_of_the_same_is_unchanged():
     assert pose == pytest.approx(HERE, abs=1e-3)
 
 
+def test_a_part_that_is_gone_vanished_and_the_reverse_appeared():
+    (gone,) = changes_of(scanned(*CUBES[:2], seed=1), scanned(*CUBES))
+    assert (gone.what, gone.is_body) == ("vanished", True)
+    assert gone.center_m == pytest.approx((0.05, 0.0, 0.0), abs=2e-3)
+    assert kinds(changes_of(scanned(*CUBES, seed=1), scanned(*CUBES[:2]))) == [("appeared", True)]
+
+
 def test_a_part_of_another_shape_or_material_was_swapped():
     other = block((0.012, 0.034, 0.03), (0.05, 0.0, 0.0), 0.003)
     (change,) = changes_of(scanned(*CUBES[:2], other, seed=1), scanned(*CUBES))

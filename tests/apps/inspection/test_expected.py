@@ -7,10 +7,12 @@ import pytest
 from geraf2.apps.inspection.bodies import body_of, measure
 from geraf2.apps.inspection.expected import (
     ExpectedItem,
+    absence_failures,
     material_findings,
     read_expected,
 )
 from geraf2.apps.inspection.material import UNKNOWN
+from geraf2.apps.inspection.models import model_of
 from helpers.inspected import block
 
 
@@ -32,6 +34,16 @@ def test_the_material_of_a_part_is_compared_with_that_of_its_item(kind, failures
     )
     found = part((0.03,) * 3, kind)
     assert material_findings([(metal, found), (of_any, found)]) == (failures, notes)
+
+
+def test_a_part_of_a_similar_size_in_the_position_of_another_is_one_fault():
+    missing = [model_of(block((0.04,) * 3), "cube")]
+    parts = [part((0.045, 0.045, 0.01), "plastic"), part((0.01,) * 3, "metal")]
+    wanted = "'cube' is swapped: part 1 is there instead, 45 x 45 x 10 mm, plastic"
+    assert absence_failures(parts, missing, [0], is_list=True) == [wanted]
+    surplus = "part 2 is surplus: 10 x 10 x 10 mm, metal"
+    assert absence_failures(parts, missing, [1], is_list=True) == ["'cube' is missing", surplus]
+    assert absence_failures(parts, [], [0, 1], is_list=False) == []
 
 
 def test_an_item_counts_as_often_as_it_should_be_there(tmp_path):

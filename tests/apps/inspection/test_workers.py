@@ -6,7 +6,7 @@ from geraf2.apps.inspection.workers import Workers
 
 
 @pytest.mark.parametrize("num_threads", [1, 3])
-def test_results_and_their_reports_are_in_order_and_errors_are_raised(num_threads):
+def test_results_and_their_reports_are_in_order(num_threads):
     stated, caller = [], threading.get_ident()
 
     def say(number):
@@ -15,9 +15,13 @@ def test_results_and_their_reports_are_in_order_and_errors_are_raised(num_thread
 
     with Workers(num_threads) as workers:
         assert workers.each(pow, range(5), [2] * 5, on_result=say) == [0, 1, 4, 9, 16]
-        with pytest.raises(ZeroDivisionError):
-            workers.each(lambda x: 1 / x, [1, 0])
     assert stated == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("num_threads", [1, 3])
+def test_an_error_of_a_task_is_raised(num_threads):
+    with Workers(num_threads) as workers, pytest.raises(ZeroDivisionError):
+        workers.each(lambda x: 1 / x, [1, 0])
 
 
 def test_tasks_run_in_parallel():
